@@ -1,0 +1,17 @@
+"""Pose-Graph Topological Integrity for GTSAM factor graphs: is this map right, and where not?"""
+
+from pgti_gtsam.adapter import from_gtsam
+from pgti_gtsam.errors import PgtiError
+from pgti_gtsam.integrity import BetaSplit, Integrity, assess
+from pgti_gtsam.pose_graph import Adaptation, EdgeSource, PoseGraph
+
+__all__ = [
+    "Adaptation",
+    "BetaSplit",
+    "EdgeSource",
+    "Integrity",
+    "PgtiError",
+    "PoseGraph",
+    "assess",
+    "from_gtsam",
+]

@@ -1,0 +1,188 @@
+"""From a GTSAM factor graph and its values to the pose graph that is assessed."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from pgti_gtsam.adapter.factors import FactorReader
+from pgti_gtsam.adapter.families import Family
+from pgti_gtsam.adapter.values import Keyframes, read_keyframes
+from pgti_gtsam.errors import InvalidOptionError, InvalidValueError, NoRadiusError
+from pgti_gtsam.odometry import track_edges
+from pgti_gtsam.pose_graph import Adaptation, EdgeSource, PoseGraph
+from pgti_gtsam.sightings import Sightings, covisibility_edges, minimum_sphere_radii
+
+EDGE_SOURCES = ("between", "covisibility", "track")
+
+MIN_SHARED_LANDMARKS = 15
+"""Landmarks that two keyframes must share to count as connected: what ORB-SLAM's covisibility graph asks
+for (Mur-Artal et al., IEEE Transactions on Robotics 2015, https://doi.org/10.1109/TRO.2015.2463671)."""
+
+
+def from_gtsam(
+    graph: gtsam.NonlinearFactorGraph,
+    values: gtsam.Values,
+    *,
+    radii: float | Mapping[int, float] | None = None,
+    edges: Collection[str] | None = None,
+    min_shared_landmarks: int = MIN_SHARED_LANDMARKS,
+) -> PoseGraph:
+    """Adapt a factor graph into a pose graph. Graph and values stay untouched.
+
+    Keyframes are all pose variables: Pose2, Pose3, Similarity2, Similarity3, NavState, Gal3 and cameras.
+    Landmark factors give the radii (Eq. 13 with the landmarks of connected keyframes, section 3.1).
+    A landmark's position is its value; without one, the measurement of its nearest sighting.
+
+    Parameters
+    ----------
+    graph : gtsam.NonlinearFactorGraph
+        Slots of removed factors are skipped.
+    values : gtsam.Values
+        An estimate of the graph's variables.
+    radii : float or mapping from key to float, m, optional
+        Radius of every keyframe, or of some, instead of what landmark factors give.
+    edges : collection of {"between", "covisibility", "track"}, optional
+        What connects keyframes: factors between them; landmarks that both see; the distance
+        travelled between them being at most the sum of their radii. The default is the first two,
+        and the third as well where `radii` are given.
+    min_shared_landmarks : int
+        Landmarks that two keyframes must share to be connected by covisibility.
+
+    Returns
+    -------
+    PoseGraph
+        Its `adaptation` counts what was used, ignored and not known.
+
+    Raises
+    ------
+    NoPoseError
+        No value is a pose.
+    MissingValueError
+        A factor between poses or to a landmark has a key without a value.
+    UnusedValueError
+        A pose appears in no factor.
+    NoRadiusError
+        Neither landmark factors nor `radii` give any keyframe a radius.
+    InvalidValueError, InvalidOptionError
+        A position or radius that is not finite, a radius below zero or for no keyframe; an
+        unknown source of edges, or fewer than one shared landmark.
+    """
+    if min_shared_landmarks < 1:
+        raise InvalidOptionError(f"expected min_shared_landmarks of at least 1, got {min_shared_landmarks}")
+    sources = _checked_sources(edges, radii is not None)
+    keyframes = read_keyframes(values)
+    reader = FactorReader(keyframes)
+    reader.read(graph)
+    sightings = reader.sightings()
+    between = np.array([row[:2] for row in reader.between], dtype=np.int64).reshape(-1, 2)
+    covisible, most_shared = covisibility_edges(sightings, min_shared_landmarks)
+    chosen = {"between": between, "covisibility": covisible}
+    pairs = {name: found for name, found in chosen.items() if name in sources}
+    seen = minimum_sphere_radii(sightings, keyframes.positions, np.concatenate([*pairs.values(), _NO_PAIRS]))
+    all_radii = _checked_radii(keyframes, seen, radii)
+    if "track" in sources:
+        pairs["track"] = track_edges(_steps(reader, keyframes), all_radii)
+    return PoseGraph(
+        keys=keyframes.keys,
+        positions=keyframes.positions,
+        radii=all_radii,
+        adaptation=_adaptation(reader, sightings, pairs, all_radii, most_shared, min_shared_landmarks),
+        **_edge_arrays(reader, pairs),
+    )
+
+
+_NO_PAIRS = np.empty((0, 2), dtype=np.int64)
+
+
+def _checked_sources(edges: Collection[str] | None, radii_given: bool) -> set[str]:
+    if edges is None:
+        return set(EDGE_SOURCES) if radii_given else {"between", "covisibility"}
+    chosen = {edges} if isinstance(edges, str) else set(edges)
+    if not chosen or not chosen <= set(EDGE_SOURCES):
+        raise InvalidOptionError(f"expected edges from {', '.join(EDGE_SOURCES)}, got {', '.join(map(repr, sorted(chosen)))}")
+    return chosen
+
+
+def _checked_radii(
+    keyframes: Keyframes, seen: NDArray[np.float64], given: float | Mapping[int, float] | None
+) -> NDArray[np.float64]:
+    """Radii from landmarks, replaced by given ones."""
+    by_key = given if isinstance(given, Mapping) else {} if given is None else dict.fromkeys(keyframes.index, given)
+    radii = seen.copy()
+    for key, radius in by_key.items():
+        if int(key) not in keyframes.index:
+            raise InvalidValueError(
+                f"expected radii for poses of the graph, got one for {gtsam.DefaultKeyFormatter(int(key))}, which is none"
+            )
+        if not (np.isfinite(radius) and radius >= 0):
+            raise InvalidValueError(
+                f"expected a radius of zero or more metres, got {radius} for keyframe {gtsam.DefaultKeyFormatter(int(key))}"
+            )
+        radii[keyframes.index[int(key)]] = radius
+    if not radii.any():
+        raise NoRadiusError(
+            "expected landmarks or radii that say how far the space around keyframes is free, got neither; "
+            "give a radius in metres (radii=, on the command line --radius) or a point cloud (--cloud)"
+        )
+    return radii
+
+
+def _steps(reader: FactorReader, keyframes: Keyframes) -> NDArray[np.float64]:
+    """Measured distance from each keyframe to the next in the order of the keys, NaN without odometry.
+
+    A factor that measures no distance (an essential matrix, say) counts with that of the values.
+    """
+    steps = np.full(len(keyframes.keys) - 1, np.nan)
+    for i, j, _, _, step in reader.between:
+        if j == i + 1 and np.isnan(steps[i]):
+            steps[i] = np.linalg.norm(keyframes.positions[j] - keyframes.positions[i]) if np.isnan(step) else step
+    return steps
+
+
+def _edge_arrays(reader: FactorReader, pairs: Mapping[str, NDArray[np.int64]]) -> dict[str, object]:
+    """Rows of all sources one behind the other, as PoseGraph merges them."""
+    used = reader.between if "between" in pairs else []
+    edges = np.concatenate([pairs.get(name, _NO_PAIRS) for name in EDGE_SOURCES])
+    flags = [np.full(len(pairs.get(name, _NO_PAIRS)), EdgeSource[name.upper()]) for name in EDGE_SOURCES]
+    slots = tuple((row[2],) for row in used) + ((),) * (len(edges) - len(used))
+    matrices = [row[3] for row in used]
+    size = max((len(matrix) for matrix in matrices if matrix is not None), default=0)
+    information = np.full((len(edges), size, size), np.nan)
+    for k, matrix in enumerate(matrices):
+        if matrix is not None:
+            information[k, : len(matrix), : len(matrix)] = matrix
+    return {
+        "edges": edges,
+        "edge_sources": np.concatenate(flags),
+        "edge_slots": slots,
+        "edge_information": information if size else None,
+    }
+
+
+def _adaptation(
+    reader: FactorReader,
+    sightings: Sightings,
+    pairs: Mapping[str, NDArray[np.int64]],
+    radii: NDArray[np.float64],
+    most_shared: int,
+    min_shared: int,
+) -> Adaptation:
+    used = reader.counts[Family.BETWEEN] + reader.counts[Family.SIGHTING] + reader.counts[Family.SMART]
+    placed = np.isfinite(sightings.landmark_positions).all(axis=1)
+    return Adaptation(
+        used=dict(used),
+        ignored=dict(reader.counts[Family.IGNORED]),
+        unknown=dict(reader.counts[Family.UNKNOWN]),
+        empty_slots=reader.empty_slots,
+        n_landmarks=int(placed.sum()),
+        n_observations=len(sightings.keyframes),
+        landmarks_without_position=int((~placed).sum()),
+        keyframes_without_radius=int((radii == 0).sum()),
+        edges={name: len(found) for name, found in pairs.items()},
+        max_shared_landmarks=most_shared,
+        min_shared_landmarks=min_shared,
+    )

@@ -1,0 +1,243 @@
+"""One pass over a factor graph: what every factor says of connectivity and of free space."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from dataclasses import dataclass, field
+from typing import Any
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from pgti_gtsam.adapter.families import Family, family_of
+from pgti_gtsam.adapter.values import Keyframes, landmark_position
+from pgti_gtsam.errors import MissingValueError, UnusedValueError
+from pgti_gtsam.sightings import Sightings
+
+Vector = NDArray[np.float64]
+
+_NOWHERE = np.full(3, np.nan)
+_ARCHIVED_NUMBER = re.compile(r"-?\d\.\d+e[+-]\d+")
+
+
+@dataclass(slots=True)
+class _Landmark:
+    """A landmark while it is being placed: its index, its value if it has one, else its nearest sighting."""
+
+    index: int
+    position: Vector
+    has_value: bool
+    nearest: float = np.inf
+
+
+@dataclass(slots=True)
+class FactorReader:
+    """Collects, factor by factor, what the pose graph is made of.
+
+    Attributes
+    ----------
+    between : list of (i, j, slot, information, step)
+        Pairs of keyframes tied by a factor; the information in the tangent space of j, or None; the
+        measured distance between them in metres, or NaN.
+    counts : one counter of class names for each family
+    """
+
+    keyframes: Keyframes
+    between: list[tuple[int, int, int, Vector | None, float]] = field(default_factory=list)
+    counts: dict[Family, Counter[str]] = field(default_factory=lambda: {f: Counter() for f in Family})
+    empty_slots: int = 0
+    _landmarks: dict[int, _Landmark] = field(default_factory=dict)
+    _seen_from: list[int] = field(default_factory=list)
+    _seen: list[int] = field(default_factory=list)
+    _measured: list[float] = field(default_factory=list)
+    _tied: set[int] = field(default_factory=set)
+
+    def read(self, graph: gtsam.NonlinearFactorGraph) -> None:
+        """Read every factor of the graph.
+
+        Raises
+        ------
+        MissingValueError, UnusedValueError, InvalidValueError
+        """
+        handlers = {Family.BETWEEN: self._between, Family.SIGHTING: self._sighting, Family.SMART: self._smart}
+        for slot in range(graph.size()):
+            factor = graph.at(slot)
+            if factor is None:
+                self.empty_slots += 1
+                continue
+            name = type(factor).__name__
+            family = family_of(name)
+            self.counts[family][name] += 1
+            keys = factor.keys()
+            self._tied.update(keys)
+            if family in handlers:
+                handlers[family](slot, factor, keys)
+        self._check_every_pose_is_tied()
+
+    def sightings(self) -> Sightings:
+        """All sightings, with distances from the values where a landmark has one."""
+        seen_from, seen = np.array(self._seen_from, dtype=np.int64), np.array(self._seen, dtype=np.int64)
+        positions = np.array([mark.position for mark in self._landmarks.values()]).reshape(-1, 3)
+        distances = np.linalg.norm(positions[seen] - self.keyframes.positions[seen_from], axis=1)
+        measured = np.array(self._measured)
+        return Sightings(
+            keyframes=seen_from,
+            landmarks=seen,
+            distances=np.where(np.isnan(measured), distances, measured),
+            landmark_positions=positions,
+            n_keyframes=len(self.keyframes.keys),
+        )
+
+    def _between(self, slot: int, factor: Any, keys: list[int]) -> None:
+        i, j = (self._keyframe(slot, factor, key) for key in keys[:2])
+        if i == j:
+            return
+        measured = factor.measured() if hasattr(factor, "measured") else None
+        step = _length(measured)
+        information = _information(factor)
+        if i > j:
+            information = _reversed(information, measured)
+            i, j = j, i
+        self.between.append((i, j, slot, information, step))
+
+    def _sighting(self, slot: int, factor: Any, keys: list[int]) -> None:
+        i, mark = self._keyframe(slot, factor, keys[0]), self._landmark(slot, factor, keys)
+        measured = np.nan
+        if not mark.has_value:
+            local, measured = _measured_point(factor)
+            if local is None and np.isnan(measured):
+                raise MissingValueError(_missing(slot, factor, keys[_landmark_slot(factor)]))
+            if local is not None and measured < mark.nearest:
+                mark.position, mark.nearest = self.keyframes.to_world(keys[0], local), measured
+        self._see(i, mark.index, measured)
+
+    def _smart(self, slot: int, factor: Any, keys: list[int]) -> None:
+        rows = [self._keyframe(slot, factor, key) for key in dict.fromkeys(keys)]
+        mark = _Landmark(len(self._landmarks), _triangulated(factor, self.keyframes.values), True)
+        self._landmarks[-1 - slot] = mark
+        for i in rows:
+            self._see(i, mark.index, np.nan)
+
+    def _see(self, keyframe: int, landmark: int, measured: float) -> None:
+        self._seen_from.append(keyframe)
+        self._seen.append(landmark)
+        self._measured.append(measured)
+
+    def _keyframe(self, slot: int, factor: Any, key: int) -> int:
+        row = self.keyframes.index.get(key)
+        if row is None:
+            raise MissingValueError(_missing(slot, factor, key))
+        return row
+
+    def _landmark(self, slot: int, factor: Any, keys: list[int]) -> _Landmark:
+        key = keys[_landmark_slot(factor)]
+        mark = self._landmarks.get(key)
+        if mark is None:
+            position = None
+            if self.keyframes.values.exists(key):
+                position = landmark_position(self.keyframes.values, key)
+                if position is None:
+                    raise MissingValueError(
+                        f"expected a point as the value of landmark {gtsam.DefaultKeyFormatter(key)} of factor {slot} "
+                        f"({type(factor).__name__}), got another type; pass the values that belong to the graph"
+                    )
+            mark = _Landmark(len(self._landmarks), _NOWHERE if position is None else position, position is not None)
+            self._landmarks[key] = mark
+        return mark
+
+    def _check_every_pose_is_tied(self) -> None:
+        free = next((int(key) for key in self.keyframes.keys if int(key) not in self._tied), None)
+        if free is not None:
+            raise UnusedValueError(
+                f"expected every pose to appear in a factor, got pose {gtsam.DefaultKeyFormatter(free)} with a value and "
+                "no factor; remove its value or add its factors"
+            )
+
+
+def _missing(slot: int, factor: Any, key: int) -> str:
+    return (
+        f"expected a value for every key, got factor {slot} ({type(factor).__name__}) "
+        f"with {gtsam.DefaultKeyFormatter(key)}, which has none; add it to the values or remove the factor"
+    )
+
+
+def _landmark_slot(factor: Any) -> int:
+    """Place of the landmark among a factor's keys: behind the pose and, in `ProjectionFactorPPP`, the sensor."""
+    return 2 if type(factor).__name__.startswith("ProjectionFactorPPP") else 1
+
+
+def _length(measured: Any) -> float:
+    """Distance in metres that a relative pose measures; a similarity's is scaled to its first keyframe."""
+    if hasattr(measured, "transformFrom") and hasattr(measured, "scale"):
+        return float(np.linalg.norm(measured.translation()) * measured.scale())
+    centre = getattr(measured, "translation", getattr(measured, "position", None))
+    return float(np.linalg.norm(centre())) if callable(centre) else np.nan
+
+
+def _information(factor: Any) -> Vector | None:
+    """Information matrix of a factor, under a robust kernel that of its base; None if it has none."""
+    model = factor.noiseModel() if hasattr(factor, "noiseModel") else None
+    if isinstance(model, gtsam.noiseModel.Robust):
+        model = model.noise()
+    if not isinstance(model, gtsam.noiseModel.Gaussian) or model.isConstrained():
+        return None
+    matrix: Vector = model.information()
+    return matrix
+
+
+def _reversed(information: Vector | None, measured: Any) -> Vector | None:
+    """Information of the reversed measurement z⁻¹, whose error is e = −Ad(z) e' with e' the error of z."""
+    if information is None or not hasattr(measured, "AdjointMap"):
+        return information
+    adjoint = measured.inverse().AdjointMap()
+    return np.asarray(adjoint.T @ information @ adjoint) if adjoint.shape == information.shape else None
+
+
+def _measured_point(factor: Any) -> tuple[Vector | None, float]:
+    """Point that a factor measures in the frame of its keyframe, and its distance, as far as it tells."""
+    name = type(factor).__name__
+    if name == "GenericStereoFactor3D":
+        camera = gtsam.StereoCamera(gtsam.Pose3(), factor.calibration())
+        local = _sensor_pose(factor).transformFrom(camera.backproject(factor.measured()))
+    elif name.startswith("BearingRangeFactor"):
+        measured = factor.measured()
+        bearing = measured.bearing()
+        direction = bearing.point3() if isinstance(bearing, gtsam.Unit3) else [bearing.c(), bearing.s(), 0.0]
+        local = np.asarray(direction) * measured.range()
+    elif name.startswith("PoseToPointFactor"):
+        local = np.asarray(factor.measured())
+    elif name.startswith("RangeFactor"):
+        # The sensor's distance is known, not the direction: what is free around it reaches at least so
+        # far around the keyframe's centre.
+        lever = np.linalg.norm(_sensor_pose(factor).translation()) if "WithTransform" in name else 0.0
+        return None, max(float(factor.measured() - lever), 0.0)
+    else:
+        return None, np.nan
+    return local, float(np.linalg.norm(local))
+
+
+def _sensor_pose(factor: Any) -> gtsam.Pose2 | gtsam.Pose3:
+    """Body-to-sensor transform of a factor, which the wheel exposes only in its archive.
+
+    The archive ends with it: rotation matrix and translation in space, x, y, cos and sin in the plane.
+    A stereo factor without one ends with its calibration.
+    """
+    numbers = [float(text) for text in _ARCHIVED_NUMBER.findall(factor.serialize())]
+    if type(factor).__name__.endswith("2D"):
+        x, y, cosine, sine = numbers[-4:]
+        return gtsam.Pose2(x, y, float(np.arctan2(sine, cosine)))
+    if hasattr(factor, "calibration") and np.array_equal(numbers[-6:], factor.calibration().vector()):
+        return gtsam.Pose3()
+    return gtsam.Pose3(gtsam.Rot3(np.reshape(numbers[-12:-3], (3, 3))), np.array(numbers[-3:]))
+
+
+def _triangulated(factor: Any, values: gtsam.Values) -> Vector:
+    """Position of a smart factor's landmark, NaN where triangulation fails."""
+    if type(factor).__name__.startswith("SmartStereo"):
+        factor.error(values)  # triangulates; this class offers no point(values)
+        result = factor.point()
+    else:
+        result = factor.point(values)
+    return np.asarray(result.get()) if result.valid() else _NOWHERE

@@ -1,0 +1,157 @@
+"""What a `gtsam.Values` holds: the keyframes with their centres, and landmarks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from pgti_gtsam.errors import InvalidValueError, NoPoseError
+
+_CALIBRATIONS = ("Cal3_S2", "Cal3DS2", "Cal3Bundler", "Cal3Fisheye", "Cal3Unified", "Cal3f")
+_CAMERAS = (*(f"{kind}{k}" for kind in ("PinholeCamera", "PinholePose") for k in _CALIBRATIONS), "SphericalCamera")
+
+
+def _pose_of_similarity2(value: gtsam.Similarity2) -> gtsam.Pose2:
+    return gtsam.Pose2(value.rotation(), value.transformFrom(np.zeros(2)))
+
+
+def _pose_of_similarity3(value: gtsam.Similarity3) -> gtsam.Pose3:
+    return gtsam.Pose3(value.rotation(), value.transformFrom(np.zeros(3)))
+
+
+def _pose_of_gal3(value: gtsam.Gal3) -> gtsam.Pose3:
+    return gtsam.Pose3(value.rotation(), value.position())
+
+
+def _pose_of_extended(value: gtsam.ExtendedPose3d) -> gtsam.Pose3:
+    """Column 0 is the position and column 1 the velocity, as in NavState, which is the same group."""
+    return gtsam.Pose3(value.rotation(), value.x(0))
+
+
+_POSE_OF: dict[str, Callable[[Any], gtsam.Pose2 | gtsam.Pose3]] = {
+    "NavState": lambda value: value.pose(),
+    "Similarity3": _pose_of_similarity3,
+    "Similarity2": _pose_of_similarity2,
+    "Gal3": _pose_of_gal3,
+    "ExtendedPose3d": _pose_of_extended,
+    "Se23": _pose_of_extended,
+    **{camera: lambda value: value.pose() for camera in _CAMERAS},
+}
+"""Pose part of every other type of value that has one, by the name in `Values.at<Name>`."""
+
+_DIMENSIONS_WITHOUT_POSE = {1, 2, 3}  # scalars, points, rotations; Pose2 is told apart by its own reader
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Keyframes:
+    """Pose variables of a graph in the order of their keys.
+
+    Attributes
+    ----------
+    keys : (n,) uint64
+    positions : (n, 3) float, m
+        Where the origin of each pose lies in the world; for a similarity, scale included.
+    index : dict from key to row
+    poses : dict from key to gtsam.Pose2 or gtsam.Pose3
+        Those that are not plain Pose2 or Pose3 values.
+    values : gtsam.Values
+    """
+
+    keys: NDArray[np.uint64]
+    positions: NDArray[np.float64]
+    index: dict[int, int]
+    poses: dict[int, Any]
+    values: gtsam.Values
+
+    def to_world(self, key: int, point: NDArray[np.float64]) -> NDArray[np.float64]:
+        """World coordinates, (3,), of a point given in the frame of a keyframe, (2,) or (3,)."""
+        pose = self.poses.get(key) or typed_value(self.values, "Pose3", key) or self.values.atPose2(key)
+        placed = pose.transformFrom(point[: 2 if isinstance(pose, gtsam.Pose2) else 3])
+        return np.pad(placed, (0, 3 - len(placed)))
+
+
+def read_keyframes(values: gtsam.Values) -> Keyframes:
+    """Find every pose among the values.
+
+    Raises
+    ------
+    NoPoseError, InvalidValueError
+    """
+    keys_3d = list(gtsam.utilities.allPose3s(values).keys())
+    keys_2d = list(gtsam.utilities.allPose2s(values).keys())
+    others = _other_poses(values, set(keys_3d) | set(keys_2d))
+    keys = np.array([*keys_3d, *keys_2d, *others], dtype=np.uint64)
+    if len(keys) == 0:
+        raise NoPoseError(
+            f"expected poses among the values, got {values.size()} values of which none is a pose; "
+            "pass the values that belong to the factor graph"
+        )
+    positions = np.zeros((len(keys), 3))
+    n_3d, n_plain = len(keys_3d), len(keys_3d) + len(keys_2d)
+    if keys_3d:
+        positions[:n_3d] = gtsam.utilities.extractPose3(values)[:, 9:12]
+    if keys_2d:
+        positions[n_3d:n_plain, :2] = gtsam.utilities.extractPose2(values)[:, :2]
+    for row, pose in enumerate(others.values(), start=n_plain):
+        centre = pose.translation()
+        positions[row, : len(centre)] = centre
+    order = np.argsort(keys)
+    keys, positions = keys[order], positions[order]
+    _check_finite(keys, positions)
+    index = {int(key): i for i, key in enumerate(keys)}
+    return Keyframes(keys=keys, positions=positions, index=index, poses=others, values=values)
+
+
+def _other_poses(values: gtsam.Values, plain: set[int]) -> dict[int, Any]:
+    found: dict[int, Any] = {}
+    for key, dimension in values.dims().items():
+        if key in plain or dimension in _DIMENSIONS_WITHOUT_POSE:
+            continue
+        for name, pose_of in _POSE_OF.items():
+            value = typed_value(values, name, key)
+            if value is not None:
+                found[key] = pose_of(value)
+                break
+    return found
+
+
+def typed_value(values: gtsam.Values, name: str, key: int) -> Any | None:
+    """Value of a key if it has the named type, else None: `Values` tells a type only by trying."""
+    try:
+        return getattr(values, f"at{name}")(key)
+    except RuntimeError:
+        return None
+
+
+def landmark_position(values: gtsam.Values, key: int) -> NDArray[np.float64] | None:
+    """Position of a landmark, (3,), z = 0 for one in the plane, or None if it is no point.
+
+    Raises
+    ------
+    InvalidValueError
+        The position is not finite.
+    """
+    for name in ("Point3", "Point2"):
+        point = typed_value(values, name, key)
+        if point is not None:
+            if not np.isfinite(point).all():
+                raise InvalidValueError(
+                    f"expected a finite position, got {point.tolist()} at landmark {gtsam.DefaultKeyFormatter(key)}"
+                )
+            return np.pad(point, (0, 3 - len(point)))
+    return None
+
+
+def _check_finite(keys: NDArray[np.uint64], positions: NDArray[np.float64]) -> None:
+    bad = ~np.isfinite(positions).all(axis=1)
+    if bad.any():
+        i = int(bad.argmax())
+        raise InvalidValueError(
+            f"expected a finite pose, got position {positions[i].tolist()} "
+            f"at keyframe {gtsam.DefaultKeyFormatter(int(keys[i]))}"
+        )
