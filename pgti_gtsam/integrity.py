@@ -140,9 +140,7 @@ class Integrity:
         )
 
 
-def assess(
-    pose_graph: PoseGraph, *, beta: float = 0.5, n_times: int = 100, norm: int = 2
-) -> Integrity:
+def assess(pose_graph: PoseGraph, *, beta: float = 0.5, n_times: int = 100, norm: int = 2) -> Integrity:
     """Score how far a pose graph disagrees with the free space that was seen (section 5).
 
     Parameters
@@ -214,7 +212,7 @@ def relative_distortion(
     """
     change = np.linalg.norm(signatures_p - signatures_m, ord=norm, axis=1)
     size = np.linalg.norm(signatures_p, ord=norm, axis=1)
-    return np.divide(change, size, out=np.where(change > 0, np.inf, 0.0), where=size > 0)
+    return np.asarray(np.divide(change, size, out=np.where(change > 0, np.inf, 0.0), where=size > 0))
 
 
 def stable_scores(

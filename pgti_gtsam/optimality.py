@@ -88,9 +88,7 @@ class OptimalityComparison:
         return self.unweighted.change
 
 
-def optimality(
-    n_vertices: int, edges: NDArray[np.int64], weights: NDArray[np.float64] | None = None
-) -> Optimality:
+def optimality(n_vertices: int, edges: NDArray[np.int64], weights: NDArray[np.float64] | None = None) -> Optimality:
     """Criteria of one graph.
 
     Parameters
@@ -144,9 +142,7 @@ def information_criteria(information: NDArray[np.float64]) -> NDArray[np.float64
         spectra = np.linalg.eigvalsh(information[rows, :size, :size])
         rows, spectra = rows[spectra[:, 0] > 0], spectra[spectra[:, 0] > 0]
         geometric_mean = np.exp(np.log(spectra).mean(axis=1))
-        criteria[rows] = np.stack(
-            [geometric_mean, spectra.mean(axis=1), spectra[:, 0], spectra[:, -1]], axis=1
-        )
+        criteria[rows] = np.stack([geometric_mean, spectra.mean(axis=1), spectra[:, 0], spectra[:, -1]], axis=1)
     return criteria
 
 
@@ -171,6 +167,4 @@ def _compare_weighted(pose_graph: PoseGraph, support: SupportGraph) -> GraphOpti
     n = len(pose_graph)
     edges = np.concatenate([pose_graph.edges, support.inserted_edges])
     weights = np.concatenate([own, np.broadcast_to(typical, (len(support.inserted_edges), 4))])
-    return GraphOptimality(
-        pose_graph=optimality(n, pose_graph.edges, own), merged_graph=optimality(n, edges, weights)
-    )
+    return GraphOptimality(pose_graph=optimality(n, pose_graph.edges, own), merged_graph=optimality(n, edges, weights))

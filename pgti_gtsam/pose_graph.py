@@ -93,7 +93,7 @@ class PoseGraph:
     positions: NDArray[np.float64]
     edges: NDArray[np.int64]
     radii: NDArray[np.float64]
-    edge_sources: NDArray[np.uint8] = field(default=None)  # type: ignore[assignment]
+    edge_sources: NDArray[np.uint8] = field(default_factory=lambda: np.empty(0, dtype=np.uint8))
     edge_slots: tuple[tuple[int, ...], ...] = ()
     edge_information: NDArray[np.float64] | None = None
     adaptation: Adaptation | None = None
@@ -104,8 +104,7 @@ class PoseGraph:
         radii = _checked_radii(keys, self.radii)
         edges = _checked_edges(len(keys), self.edges)
         m = len(edges)
-        sources = np.full(m, EdgeSource.BETWEEN) if self.edge_sources is None else self.edge_sources
-        sources = np.asarray(sources, dtype=np.uint8)
+        sources = np.asarray(self.edge_sources if len(self.edge_sources) else np.full(m, EdgeSource.BETWEEN), np.uint8)
         slots = self.edge_slots or ((),) * m
         if len(sources) != m or len(slots) != m:
             raise InvalidGraphError(
@@ -145,9 +144,7 @@ def _checked_keys(keys: ArrayLike) -> NDArray[np.uint64]:
         raise NoPoseError("expected at least one keyframe, got none: nothing can be assessed")
     if len(np.unique(checked)) != len(checked):
         values, counts = np.unique(checked, return_counts=True)
-        raise InvalidGraphError(
-            f"expected distinct keys, got {key_label(int(values[counts.argmax()]))} more than once"
-        )
+        raise InvalidGraphError(f"expected distinct keys, got {key_label(int(values[counts.argmax()]))} more than once")
     return checked
 
 
@@ -207,9 +204,7 @@ def _merge_edges(
     slots: Sequence[tuple[int, ...]],
     information: NDArray[np.float64] | None,
     n: int,
-) -> tuple[
-    NDArray[np.int64], NDArray[np.uint8], tuple[tuple[int, ...], ...], NDArray[np.float64] | None
-]:
+) -> tuple[NDArray[np.int64], NDArray[np.uint8], tuple[tuple[int, ...], ...], NDArray[np.float64] | None]:
     """Sort the pairs, and merge what is known of pairs that occur more than once."""
     low, high = edges.min(axis=1, initial=n), edges.max(axis=1, initial=0)
     codes, row = np.unique(low * n + high, return_inverse=True)

@@ -39,9 +39,7 @@ class Sightings:
         return incidence
 
 
-def covisibility_edges(
-    sightings: Sightings, min_shared_landmarks: int
-) -> tuple[NDArray[np.int64], int]:
+def covisibility_edges(sightings: Sightings, min_shared_landmarks: int) -> tuple[NDArray[np.int64], int]:
     """Pairs of keyframes that see at least so many landmarks in common.
 
     Returns

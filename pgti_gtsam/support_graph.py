@@ -39,14 +39,10 @@ def support_graph(pose_graph: PoseGraph) -> SupportGraph:
     p_codes, f_codes = (edges[:, 0] * n + edges[:, 1] for edges in (pose_graph.edges, free))
     inserted = np.setdiff1d(f_codes, p_codes, assume_unique=True)
     merged = np.union1d(p_codes, f_codes)
-    return SupportGraph(
-        free_space_edges=free, merged_edges=_pairs(merged, n), inserted_edges=_pairs(inserted, n)
-    )
+    return SupportGraph(free_space_edges=free, merged_edges=_pairs(merged, n), inserted_edges=_pairs(inserted, n))
 
 
-def overlapping_spheres(
-    positions: NDArray[np.float64], radii: NDArray[np.float64]
-) -> NDArray[np.int64]:
+def overlapping_spheres(positions: NDArray[np.float64], radii: NDArray[np.float64]) -> NDArray[np.int64]:
     """Pairs of spheres that meet: ‖p_i − p_j‖ ≤ r_i + r_j. Touching counts, as two closed balls do.
 
     Spheres are grouped by the power of two of their radius, so that one large sphere does not make
@@ -82,7 +78,7 @@ def _codes(i: NDArray[np.int64], j: NDArray[np.int64], n: int) -> NDArray[np.int
     """One integer for each pair of different vertices, in the order of the sorted pairs."""
     distinct = i != j
     low, high = np.minimum(i, j)[distinct], np.maximum(i, j)[distinct]
-    return low * n + high
+    return np.asarray(low * n + high)
 
 
 def _pairs(codes: NDArray[np.int64], n: int) -> NDArray[np.int64]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
+from typing import Any
 
 import gtsam
 import numpy as np
@@ -32,6 +33,8 @@ def from_gtsam(
     min_shared_landmarks: int = MIN_SHARED_LANDMARKS,
 ) -> PoseGraph:
     """Adapt a factor graph into a pose graph. Graph and values stay untouched.
+
+    (Smart factors remember their last triangulation, as whenever GTSAM evaluates them.)
 
     Keyframes are all pose variables: Pose2, Pose3, Similarity2, Similarity3, NavState, Gal3 and cameras.
     Landmark factors give the radii (Eq. 13 with the landmarks of connected keyframes, section 3.1).
@@ -103,7 +106,9 @@ def _checked_sources(edges: Collection[str] | None, radii_given: bool) -> set[st
         return set(EDGE_SOURCES) if radii_given else {"between", "covisibility"}
     chosen = {edges} if isinstance(edges, str) else set(edges)
     if not chosen or not chosen <= set(EDGE_SOURCES):
-        raise InvalidOptionError(f"expected edges from {', '.join(EDGE_SOURCES)}, got {', '.join(map(repr, sorted(chosen)))}")
+        raise InvalidOptionError(
+            f"expected edges from {', '.join(EDGE_SOURCES)}, got {', '.join(map(repr, sorted(chosen)))}"
+        )
     return chosen
 
 
@@ -143,7 +148,7 @@ def _steps(reader: FactorReader, keyframes: Keyframes) -> NDArray[np.float64]:
     return steps
 
 
-def _edge_arrays(reader: FactorReader, pairs: Mapping[str, NDArray[np.int64]]) -> dict[str, object]:
+def _edge_arrays(reader: FactorReader, pairs: Mapping[str, NDArray[np.int64]]) -> dict[str, Any]:
     """Rows of all sources one behind the other, as PoseGraph merges them."""
     used = reader.between if "between" in pairs else []
     edges = np.concatenate([pairs.get(name, _NO_PAIRS) for name in EDGE_SOURCES])

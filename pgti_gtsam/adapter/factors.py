@@ -234,7 +234,11 @@ def _sensor_pose(factor: Any) -> gtsam.Pose2 | gtsam.Pose3:
 
 
 def _triangulated(factor: Any, values: gtsam.Values) -> Vector:
-    """Position of a smart factor's landmark, NaN where triangulation fails."""
+    """Position of a smart factor's landmark, NaN where triangulation fails.
+
+    A smart factor remembers its last triangulation, here as in every `graph.error(values)`; the wheel
+    has no way to copy one.
+    """
     if type(factor).__name__.startswith("SmartStereo"):
         factor.error(values)  # triangulates; this class offers no point(values)
         result = factor.point()
