@@ -40,7 +40,8 @@ Cloud = Annotated[Path | None, typer.Option(help="Point cloud or mesh: radii are
 Edges = Annotated[
     str | None,
     typer.Option(
-        help=f"What connects keyframes, from {','.join(EDGE_SOURCES)}. Default: the first two; all where radii are given or come from scans."
+        help=f"What connects keyframes, from {','.join(EDGE_SOURCES)}. Default: the first two; "
+        "all three where radii do not come from landmarks or no landmarks are shared."
     ),
 ]
 MinShared = Annotated[int, typer.Option(help="Landmarks that two keyframes must share to be connected.")]
@@ -167,7 +168,8 @@ def _check_output(output: Path | None, inputs: list[Path]) -> None:
 def _stages(count: int) -> Iterator[Callable[[str], None]]:
     """A bar on standard error that moves by stages and vanishes when done."""
     columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
+    console = Console(stderr=True)
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
         task = progress.add_task("starting", total=count)
 
         def stage(description: str) -> None:

@@ -50,8 +50,9 @@ def from_gtsam(
         Radius of every keyframe, or of some, instead of what landmark factors give.
     edges : collection of {"between", "covisibility", "track"}, optional
         What connects keyframes: factors between them; landmarks that both see; the distance
-        travelled between them being at most the sum of their radii. The default is the first two,
-        and the third as well where `radii` are given.
+        travelled between them being at most the sum of their radii. The default is the first two, and
+        the third as well where `radii` are given or no two keyframes share enough landmarks: the pose
+        graph would be sparser than the free space for want of landmarks, not of connections.
     min_shared_landmarks : int
         Landmarks that two keyframes must share to be connected by covisibility.
 
@@ -76,15 +77,16 @@ def from_gtsam(
     """
     if min_shared_landmarks < 1:
         raise InvalidOptionError(f"expected min_shared_landmarks of at least 1, got {min_shared_landmarks}")
-    sources = _checked_sources(edges, radii is not None)
+    chosen = None if edges is None else _checked_sources(edges)
     keyframes = read_keyframes(values)
     reader = FactorReader(keyframes)
     reader.read(graph)
     sightings = reader.sightings()
     between = np.array([row[:2] for row in reader.between], dtype=np.int64).reshape(-1, 2)
     covisible, most_shared = covisibility_edges(sightings, min_shared_landmarks)
-    chosen = {"between": between, "covisibility": covisible}
-    pairs = {name: found for name, found in chosen.items() if name in sources}
+    sources = chosen or _default_sources(radii_given=radii is not None, covisible=len(covisible) > 0)
+    found = {"between": between, "covisibility": covisible}
+    pairs = {name: found[name] for name in found if name in sources}
     seen = minimum_sphere_radii(sightings, keyframes.positions, np.concatenate([*pairs.values(), _NO_PAIRS]))
     all_radii = _checked_radii(keyframes, seen, radii)
     if "track" in sources:
@@ -101,15 +103,18 @@ def from_gtsam(
 _NO_PAIRS = np.empty((0, 2), dtype=np.int64)
 
 
-def _checked_sources(edges: Collection[str] | None, radii_given: bool) -> set[str]:
-    if edges is None:
-        return set(EDGE_SOURCES) if radii_given else {"between", "covisibility"}
+def _checked_sources(edges: Collection[str]) -> set[str]:
     chosen = {edges} if isinstance(edges, str) else set(edges)
     if not chosen or not chosen <= set(EDGE_SOURCES):
         raise InvalidOptionError(
             f"expected edges from {', '.join(EDGE_SOURCES)}, got {', '.join(map(repr, sorted(chosen)))}"
         )
     return chosen
+
+
+def _default_sources(*, radii_given: bool, covisible: bool) -> set[str]:
+    """The track is needed where the pose graph is little more than odometry and spheres are larger than its steps."""
+    return set(EDGE_SOURCES) if radii_given or not covisible else {"between", "covisibility"}
 
 
 def _checked_radii(
@@ -121,11 +126,13 @@ def _checked_radii(
     for key, radius in by_key.items():
         if int(key) not in keyframes.index:
             raise InvalidValueError(
-                f"expected radii for poses of the graph, got one for {gtsam.DefaultKeyFormatter(int(key))}, which is none"
+                f"expected radii for poses of the graph, got one for {gtsam.DefaultKeyFormatter(int(key))}, "
+                "which is none"
             )
         if not (np.isfinite(radius) and radius >= 0):
             raise InvalidValueError(
-                f"expected a radius of zero or more metres, got {radius} for keyframe {gtsam.DefaultKeyFormatter(int(key))}"
+                f"expected a radius of zero or more metres, got {radius} "
+                f"for keyframe {gtsam.DefaultKeyFormatter(int(key))}"
             )
         radii[keyframes.index[int(key)]] = radius
     if not radii.any():

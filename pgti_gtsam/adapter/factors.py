@@ -140,8 +140,9 @@ class FactorReader:
                 position = landmark_position(self.keyframes.values, key)
                 if position is None:
                     raise MissingValueError(
-                        f"expected a point as the value of landmark {gtsam.DefaultKeyFormatter(key)} of factor {slot} "
-                        f"({type(factor).__name__}), got another type; pass the values that belong to the graph"
+                        f"expected a point as the value of landmark {gtsam.DefaultKeyFormatter(key)} "
+                        f"of factor {slot} ({type(factor).__name__}), got another type; "
+                        "pass the values that belong to the graph"
                     )
             mark = _Landmark(len(self._landmarks), _NOWHERE if position is None else position, position is not None)
             self._landmarks[key] = mark

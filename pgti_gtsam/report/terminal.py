@@ -80,13 +80,13 @@ def _warnings(document: Mapping[str, Any]) -> list[str]:
     lines = []
     if adaptation["keyframes_without_radius"]:
         lines.append(
-            f"{adaptation['keyframes_without_radius']} keyframes see no landmark: nothing is guaranteed free around them"
+            f"{adaptation['keyframes_without_radius']} keyframes without radius: nothing is guaranteed free around them"
         )
     if adaptation["landmarks_without_position"]:
         lines.append(f"{adaptation['landmarks_without_position']} landmarks could not be placed and give no radius")
     if 0 < adaptation["max_shared_landmarks"] < adaptation["min_shared_landmarks"]:
         lines.append(
-            f"no two keyframes share {adaptation['min_shared_landmarks']} landmarks, so none is connected by covisibility; "
+            f"no two keyframes share {adaptation['min_shared_landmarks']} landmarks, so covisibility connects none; "
             f"the most that two share is {adaptation['max_shared_landmarks']} (--min-shared-landmarks)"
         )
     if summary["n_components_pose_graph"] > 1:

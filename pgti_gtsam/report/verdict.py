@@ -48,6 +48,6 @@ def verdict(integrity: Integrity) -> Verdict:
         )
     return Verdict(
         level="broken",
-        text=f"{count}; errors spread very differently {scale}. A loop is missing or false, or the map collides with "
-        "itself through drift.",
+        text=f"{count}; errors spread very differently {scale}. A loop is missing or false, passes of one place were "
+        "never joined, or the map collides with itself through drift.",
     )

@@ -1,0 +1,155 @@
+"""The command line as a person uses it: output, files, exit codes, and one line for every bad input."""
+
+import json
+import sys
+from pathlib import Path
+
+import gtsam
+import numpy as np
+import pytest
+from gtsam.symbol_shorthand import X
+
+from pgti_gtsam import cli
+
+SQUARE = """VERTEX_SE2 0 0 0 0
+VERTEX_SE2 1 5 0 1.57
+VERTEX_SE2 2 5 5 3.14
+VERTEX_SE2 3 0 5 -1.57
+VERTEX_SE2 4 0 0.5 -1.57
+EDGE_SE2 0 1 5 0 1.57 1 0 0 1 0 1
+EDGE_SE2 1 2 5 0 1.57 1 0 0 1 0 1
+EDGE_SE2 2 3 5 0 1.57 1 0 0 1 0 1
+EDGE_SE2 3 4 4.5 0 0 1 0 0 1 0 1
+"""
+DATA = Path(__file__).parents[2] / "shared" / "data"
+
+
+@pytest.fixture
+def run(monkeypatch, capsys):
+    """Run the command line in this process: exit code, standard output, standard error."""
+
+    def call(*words):
+        monkeypatch.setattr(sys, "argv", ["pgti-gtsam", *map(str, words)])
+        with pytest.raises(SystemExit) as stop:
+            cli.main()
+        return stop.value.code or 0, *capsys.readouterr()
+
+    return call
+
+
+@pytest.fixture
+def square(tmp_path):
+    path = tmp_path / "square.g2o"
+    path.write_text(SQUARE)
+    return path
+
+
+def test_without_a_file_kitti_00_is_audited(run, tmp_path):
+    page, found = tmp_path / "map.html", tmp_path / "map.json"
+    code, out, err = run("audit", "--html", page, "--json", found)
+    assert (code, err) == (0, "")
+    document = json.loads(found.read_text())
+    assert document["summary"]["n_keyframes"] == 135
+    assert document["adaptation"]["edges"] == {"between": 134, "covisibility": 1178}
+    assert document["adaptation"]["n_landmarks"] == 26136
+    assert document["adaptation"]["n_observations"] == 88781
+    assert 5 < document["summary"]["n_inserted_edges"] < 20
+    assert document["summary"]["verdict"]["text"].split(";")[0] in " ".join(out.split())
+    assert page.stat().st_size > 1_000_000
+
+
+def test_a_gap_in_the_square_is_named(run, square):
+    code, out, _ = run("audit", square, "--radius", 0.3)
+    assert code == 0
+    assert "broken" in out
+    assert "0, 4" in out  # the keyframes in contact
+
+
+@pytest.mark.parametrize(("limit", "code"), [(100, 0), (1e-3, 1)])
+def test_a_map_above_the_limit_fails(run, square, limit, code):
+    assert run("audit", square, "--radius", 0.3, "--fail-above", limit)[0] == code
+
+
+def test_an_archived_graph_gives_what_the_library_gives(run, tmp_path):
+    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    for i in range(6):
+        angle = i * np.pi / 3
+        values.insert(X(i), gtsam.Pose2(np.cos(angle), np.sin(angle), angle))
+    for i in range(5):
+        step = values.atPose2(X(i)).between(values.atPose2(X(i + 1)))
+        graph.push_back(gtsam.BetweenFactorPose2(X(i), X(i + 1), step, gtsam.noiseModel.Unit.Create(3)))
+    (tmp_path / "graph.txt").write_text(graph.serialize())
+    (tmp_path / "values.txt").write_text(values.serialize())
+    found = tmp_path / "found.json"
+    command = ("audit", tmp_path / "graph.txt", "--values", tmp_path / "values.txt", "--radius", 0.51, "--json", found)
+    assert run(*command)[0] == 0
+    assert json.loads(found.read_text())["edges"]["inserted"] == [[0, 5]]
+
+
+SCRIPT = "<script>alert(1)</script>"
+BAD_FILES = {
+    "binary noise": (bytes(range(256)) * 40, "g2o"),
+    "empty": (b"", ""),
+    "truncated line": (SQUARE.replace("EDGE_SE2 1 2 5 0 1.57 1 0 0 1 0 1", "EDGE_SE2 1 2 5 0"), "line 7"),
+    "pose that is no number": (SQUARE.replace("VERTEX_SE2 2 5 5 3.14", "VERTEX_SE2 2 nan 5 3.14"), "line 3"),
+    "edge to a missing vertex": (SQUARE.replace("EDGE_SE2 3 4", "EDGE_SE2 3 77"), "77"),
+    "graph without poses": ("VERTEX_XY 3 1 2\n", "pose"),
+    "hostile label": (SQUARE.replace("VERTEX_SE2 2 5", f"VERTEX_SE2 {SCRIPT} 5"), "line 3"),
+    "unknown format": ("hello world\n", "g2o"),
+}
+
+
+@pytest.mark.parametrize("name", BAD_FILES)
+def test_a_bad_file_ends_with_one_line_and_code_2_and_stays_as_it_was(run, tmp_path, name):
+    content, words = BAD_FILES[name]
+    path, page = tmp_path / "bad.g2o", tmp_path / "page.html"
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    before = path.read_bytes()
+    code, out, err = run("audit", path, "--radius", 1, "--html", page)
+    assert (code, out) == (2, "")
+    assert err.startswith("pgti-gtsam: ")
+    assert err.count("\n") == 1
+    assert words in err
+    assert not page.exists()
+    assert path.read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (["audit", "nowhere.g2o"], "nowhere.g2o"),
+        (["audit", "."], "."),
+        (["audit", "SQUARE"], "--radius"),
+        (["audit", "SQUARE", "--radius", "-1"], "-1"),
+        (["audit", "SQUARE", "--radius", "nan"], "nan"),
+        (["audit", "SQUARE", "--radius", "1", "--beta", "1"], "beta"),
+        (["audit", "SQUARE", "--radius", "1", "--min-shared-landmarks", "0"], "min_shared_landmarks"),
+        (["audit", "SQUARE", "--radius", "1", "--edges", "loops"], "loops"),
+        (["audit", "SQUARE", "--radius", "1", "--html", "SQUARE"], "input"),
+        (["audit", "SQUARE", "--radius", "1", "--json", "nowhere/found.json"], "existing folder"),
+        (["audit", "SQUARE", "--radius", "1", "--cloud", "cloud.ply"], "--radius or --cloud"),
+        (["audit", "SQUARE", "--values", "SQUARE"], "values"),
+    ],
+)
+def test_bad_options_end_with_one_line_and_code_2(run, square, words, expected):
+    code, out, err = run(*[str(square) if word == "SQUARE" else word for word in words])
+    assert (code, out) == (2, "")
+    assert err.startswith("pgti-gtsam: ")
+    assert err.count("\n") == 1
+    assert expected in err
+    assert square.read_text() == SQUARE
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "n_keyframes"),
+    [
+        ("scan_pose_graphs/mit-cscail.log", [], 1051),
+        ("kitti_robustslam/06/kitti_06_alpha_0.95.g2o", ["--radius", "4"], 1101),
+    ],
+)
+def test_real_maps_are_audited(run, tmp_path, name, options, n_keyframes):
+    if not (DATA / name).exists():
+        pytest.skip(f"{DATA / name} is not here")
+    found = tmp_path / "found.json"
+    assert run("audit", DATA / name, *options, "--json", found)[0] == 0
+    assert json.loads(found.read_text())["summary"]["n_keyframes"] == n_keyframes
