@@ -16,10 +16,10 @@ from pgti_gtsam.support_graph import SupportGraph, support_graph
 STABLE_TIMES = np.geomspace(0.5, 2000.0, 40)
 """Fixed times of the stable score, in units of the unweighted Laplacian's time.
 
-Heat travels about √(2 t · degree) hops in the time t. At 0.5 it has hardly left its vertex, so shorter
-times tell nothing; by 2000 it has crossed some sixty keyframes of an odometry chain, which is where a
-repeated pass, a corner or a room shows. Longer times would ask how large the map is, and the score is
-meant not to. Forty logarithmic steps resolve a signature that varies over decades.
+Along an odometry chain heat spreads √(2t) keyframes in the time t. At 0.5 that is to the next keyframe,
+so shorter times tell nothing; at 2000 it is some sixty, where a repeated pass, a corner or a room shows.
+Longer times would ask how large the map is, and the score is meant not to. Forty logarithmic steps
+resolve a signature that varies over decades.
 """
 
 

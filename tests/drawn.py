@@ -9,7 +9,7 @@ import pgti_gtsam as pgti
 
 
 @st.composite
-def pose_graphs(draw, max_size=24):
+def pose_graphs(draw, max_size=16):
     """Random tracks with closures; gaps, coincident keyframes, zero and huge radii occur."""
     n = draw(st.integers(1, max_size))
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))

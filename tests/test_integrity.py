@@ -11,7 +11,7 @@ import pgti_gtsam as pgti
 from pgti_gtsam.errors import InvalidOptionError
 from pgti_gtsam.integrity import STABLE_TIMES
 
-SETTINGS = settings(derandomize=True, deadline=None, max_examples=100)
+SETTINGS = settings(derandomize=True, deadline=None, max_examples=60)
 
 
 def graph_of(positions, edges, radii):

@@ -72,7 +72,7 @@ class Keyframes:
         """World coordinates, (3,), of a point given in the frame of a keyframe, (2,) or (3,)."""
         pose = self.poses.get(key) or typed_value(self.values, "Pose3", key) or self.values.atPose2(key)
         placed = pose.transformFrom(point[: 2 if isinstance(pose, gtsam.Pose2) else 3])
-        return np.pad(placed, (0, 3 - len(placed)))
+        return in_space(placed)
 
 
 def read_keyframes(values: gtsam.Values) -> Keyframes:
@@ -128,6 +128,11 @@ def typed_value(values: gtsam.Values, name: str, key: int) -> Any | None:
         return None
 
 
+def in_space(point: NDArray[np.float64]) -> NDArray[np.float64]:
+    """A point of the plane, (2,), at height zero; one in space, (3,), as it is."""
+    return point if len(point) == 3 else np.array([point[0], point[1], 0.0])
+
+
 def landmark_position(values: gtsam.Values, key: int) -> NDArray[np.float64] | None:
     """Position of a landmark, (3,), z = 0 for one in the plane, or None if it is no point.
 
@@ -143,7 +148,7 @@ def landmark_position(values: gtsam.Values, key: int) -> NDArray[np.float64] | N
                 raise InvalidValueError(
                     f"expected a finite position, got {point.tolist()} at landmark {gtsam.DefaultKeyFormatter(key)}"
                 )
-            return np.pad(point, (0, 3 - len(point)))
+            return in_space(point)
     return None
 
 
