@@ -1,0 +1,8 @@
+"""Factor graphs from files: one reader per format, the format found from the content."""
+
+from pgti_gtsam.datasets.chain import chain_odometry
+from pgti_gtsam.datasets.dataset import Dataset
+from pgti_gtsam.datasets.reader import BUILTIN, builtin, read, read_carmen
+from pgti_gtsam.datasets.subsample import subsample
+
+__all__ = ["BUILTIN", "Dataset", "builtin", "chain_odometry", "read", "read_carmen", "subsample"]

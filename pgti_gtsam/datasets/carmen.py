@@ -1,0 +1,150 @@
+"""CARMEN logs: a raw laser log to a pose graph.
+
+Scans are ``FLASER`` or, in newer logs, ``ROBOTLASER1`` messages (see `scans`). A scan becomes a keyframe where
+the robot has moved far enough since the last one. Odometry between keyframes is the log's, its sigmas are
+assumed. Beside ``NAME.clf`` may lie ``NAME.relations``, lines ``time time x y z roll pitch yaw``: hand-checked
+poses of the second scan seen from the first. The long-range ones become closures that are known to be true.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Sequence
+from dataclasses import replace
+from itertools import pairwise
+from typing import NamedTuple
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from pgti_gtsam.datasets.assembly import Entry, assemble, planar_poses
+from pgti_gtsam.datasets.dataset import Dataset
+from pgti_gtsam.datasets.scans import Scan, read_scan, smallest_range
+from pgti_gtsam.datasets.text import ENDINGS, TextFile, note_ignored, parse_table, read_text, split_lines
+from pgti_gtsam.errors import InvalidOptionError
+
+FORMAT = "CARMEN log"
+SCANS = ("FLASER", "ROBOTLASER1")
+TAGS = set(SCANS)
+
+# Assumed, x and y in metres and heading in radians per step between keyframes. Measured on the log `aces`: its
+# odometry leaves its 1191 short relations, 0.27 m in the median, by 0.05 m, 0.02 m and 0.025 rad (standard
+# deviations). A default step is about twice as long.
+ODOMETRY_SIGMAS = (0.1, 0.1, 0.05)
+RELATION_SIGMAS = (0.05, 0.05, 0.02)  # assumed: a scan matched by hand, to about a reading's spacing
+LOOP_NODES = 10  # relations between nodes farther apart than this close a loop; in `aces` none has 2 to 81
+SAME_TIME_S = 0.05  # half the time between two scans at 10 Hz
+
+
+class Relation(NamedTuple):
+    """Two scans or keyframes, and the pose of the second seen from the first."""
+
+    first: int
+    second: int
+    pose: gtsam.Pose2
+
+
+def parse(file: TextFile, *, step_m: float = 0.5, step_rad: float = 0.5) -> Dataset:
+    """Keyframes, their odometry and radii, and closures where a file of relations lies beside the log.
+
+    Parameters
+    ----------
+    file : TextFile
+        The log.
+    step_m, step_rad : float
+        A scan becomes a keyframe when the robot has travelled so far, or turned so much, since the last one;
+        the ends of closures do so in any case.
+
+    Returns
+    -------
+    Dataset
+        Keyframes are numbered from 0. Radii are the smallest valid ranges of the keyframes' own scans.
+
+    Raises
+    ------
+    FileFormatError
+        A malformed line of the log or of the relations.
+    InvalidOptionError
+        A step is not positive.
+    """
+    if not (step_m > 0.0 and step_rad > 0.0):
+        raise InvalidOptionError(f"expected positive steps, got step_m={step_m} and step_rad={step_rad}")
+    tag = next(tag for tag in SCANS if tag in file.tags)
+    scans = [read_scan(file, line) for line in file.tags[tag]]
+    relations, notes = _loop_relations(file, np.array([scan.time_s for scan in scans]))
+    chosen = _choose_keyframes(scans, step_m, step_rad, {end for loop in relations for end in loop[:2]})
+    keys = {index: key for key, index in enumerate(chosen)}
+    robot = planar_poses(np.array([scans[index].robot for index in chosen]))
+    odometry = [Relation(i, j, robot[i].between(robot[j])) for i, j in pairwise(range(len(chosen)))]
+    loops = [Relation(keys[loop.first], keys[loop.second], loop.pose) for loop in relations]
+    lines = [scans[index].line for index in chosen]
+    dataset = assemble(
+        file,
+        format=FORMAT,
+        poses=dict(enumerate(robot)),
+        entries=[*_entries(odometry, ODOMETRY_SIGMAS, lines), *_entries(loops, RELATION_SIGMAS, lines)],
+        radii=_radii(scans, chosen),
+        notes=[*_statements(scans, chosen, step_m, step_rad), *notes, *note_ignored(file, {tag})],
+    )
+    return replace(dataset, true_closures=frozenset(dataset.closures)) if relations else dataset
+
+
+def _choose_keyframes(scans: Sequence[Scan], step_m: float, step_rad: float, wanted: Collection[int]) -> list[int]:
+    """Indices of the first scan, of the wanted ones, and of those far enough behind the keyframe before."""
+    robot = np.array([scan.robot for scan in scans])
+    moved = np.diff(robot, axis=0, prepend=robot[:1])
+    travelled = np.cumsum(np.hypot(moved[:, 0], moved[:, 1])).tolist()
+    turned = np.cumsum(np.abs(np.arctan2(np.sin(moved[:, 2]), np.cos(moved[:, 2])))).tolist()
+    chosen = [0]
+    for i in range(1, len(scans)):
+        last = chosen[-1]
+        is_far = travelled[i] - travelled[last] >= step_m or turned[i] - turned[last] >= step_rad
+        if is_far or i in wanted:
+            chosen.append(i)
+    return chosen
+
+
+def _entries(relations: Iterable[Relation], sigmas: Sequence[float], lines: Sequence[int]) -> list[Entry]:
+    """Between factors of relations between keyframes, each at the line of its later scan."""
+    model = gtsam.noiseModel.Diagonal.Sigmas(np.array(sigmas))
+    return [Entry(lines[max(i, j)], (i, j), gtsam.BetweenFactorPose2(i, j, pose, model)) for i, j, pose in relations]
+
+
+def _radii(scans: Sequence[Scan], chosen: Sequence[int]) -> dict[int, float]:
+    """Smallest valid range of every keyframe's scan; the log's largest reading stands for 'no echo'."""
+    no_echo = max(float(scan.ranges_m.max(initial=0.0)) for scan in scans)
+    ranges = {key: smallest_range(scans[i], no_echo) for key, i in enumerate(chosen)}
+    return {key: radius for key, radius in ranges.items() if radius is not None}
+
+
+def _loop_relations(file: TextFile, times: NDArray[np.float64]) -> tuple[list[Relation], list[str]]:
+    """Long-range relations between scans, from the file beside the log, and what to say of them."""
+    log = file.path.with_suffix("") if file.path.suffix in ENDINGS else file.path
+    path = log.with_suffix(".relations")
+    if not path.is_file():
+        return [], [f"there is no {path.name} beside the log, and so no closure"]
+    table = parse_table(path, split_lines(path, read_text(path)).lines, ids=0, widths=[8], tagged=False)
+    ends, poses = table.numbers[:, :2], table.numbers[:, [2, 3, 7]]
+    nodes = np.searchsorted(np.unique(ends), ends)
+    loops = np.flatnonzero(np.abs(nodes[:, 1] - nodes[:, 0]) > LOOP_NODES)
+    nearest = np.abs(times[:, None, None] - ends[loops]).argmin(axis=0)
+    known = (np.abs(times[nearest] - ends[loops]) <= SAME_TIME_S).all(axis=1) & (nearest[:, 0] != nearest[:, 1])
+    relations = [
+        Relation(first, second, gtsam.Pose2(*pose))
+        for (first, second), pose in zip(nearest[known].tolist(), poses[loops][known].tolist(), strict=True)
+    ]
+    notes = [
+        f"{len(relations)} of {len(ends)} relations in {path.name} lie more than {LOOP_NODES} nodes apart and are "
+        f"closures, hand-checked, with assumed sigmas {RELATION_SIGMAS} (m, m, rad); the others are not used"
+    ]
+    if len(relations) < len(loops):
+        notes.append(f"{len(loops) - len(relations)} relations name a time at which there is no scan")
+    return relations, notes
+
+
+def _statements(scans: Sequence[Scan], chosen: Sequence[int], step_m: float, step_rad: float) -> list[str]:
+    return [
+        f"{len(chosen)} of {len(scans)} scans are keyframes: after {step_m:g} m or {step_rad:g} rad",
+        f"odometry is the log's, with assumed sigmas {ODOMETRY_SIGMAS} (m, m, rad) per step",
+        "radii are the smallest valid ranges of the keyframes' scans",
+    ]

@@ -1,0 +1,49 @@
+"""What a file gives: a factor graph, a value of every variable, and what else the file knows."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import gtsam
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Dataset:
+    """A factor graph read from a file.
+
+    Pose ``k`` of a text file has the key ``k``, its landmark ``k`` the key ``gtsam.symbol("l", k)``: the
+    two may be numbered alike. Stereo files name their poses ``gtsam.symbol("x", k)``. No reader adds a
+    prior: the graph holds what the file says.
+
+    Attributes
+    ----------
+    name : str
+        The file's name without its endings.
+    format : str
+        The format in words.
+    graph : gtsam.NonlinearFactorGraph
+        The factors, in the order of the file.
+    values : gtsam.Values
+        The stored estimate of every variable, or a first one where the file stores none.
+    radii : mapping of int to float, or None
+        Metres of free space around the poses whose scans the file holds.
+    closures : tuple of int
+        Slots of the factors between poses that are not odometry, by the later of their poses.
+    true_closures : frozenset of int, or None
+        Those of them that are known to be true; None when nothing is known.
+    truth : gtsam.Values, or None
+        Ground-truth poses, in a frame of their own.
+    notes : tuple of str
+        Short sentences on what was read, assumed and ignored.
+    """
+
+    name: str
+    format: str
+    graph: gtsam.NonlinearFactorGraph
+    values: gtsam.Values
+    radii: Mapping[int, float] | None = None
+    closures: tuple[int, ...] = ()
+    true_closures: frozenset[int] | None = None
+    truth: gtsam.Values | None = None
+    notes: tuple[str, ...] = ()

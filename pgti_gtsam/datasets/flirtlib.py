@@ -1,0 +1,58 @@
+"""Scan graphs of FLIRTLib: optimised vertices, edges, and the laser scan of every vertex.
+
+``VERTEX2 id x y θ``, each followed by its ``ROBOTLASER1`` scan, then ``EDGE2`` lines in TORO's order of
+information under the comments ``#SEQUENTIAL EDGES`` and ``#LOOP EDGES``. The radius of a vertex is the smallest
+range of its scan. The scanner of the two published logs sees 180° only, so nothing is known of what lies behind.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pgti_gtsam.datasets.assembly import assemble
+from pgti_gtsam.datasets.dataset import Dataset
+from pgti_gtsam.datasets.scans import read_scan, smallest_range
+from pgti_gtsam.datasets.text import TextFile, note_ignored
+from pgti_gtsam.datasets.toro import planar_edges, vertices
+
+FORMAT = "FLIRTLib scan graph"
+TAGS = {"VERTEX2", "EDGE2", "ROBOTLASER1"}
+
+
+def parse(file: TextFile) -> Dataset:
+    """The graph of a scan-graph file, with radii.
+
+    Raises
+    ------
+    FileFormatError
+        A malformed line, a scan before the first vertex, two scans of one vertex.
+    """
+    entries, notes = planar_edges(file)
+    poses = vertices(file)
+    radii = _radii(file)
+    stated = "poses are the stored, optimised ones; radii are the smallest valid ranges of the scans"
+    if missing := len(poses) - len(radii):
+        notes.append(f"{missing} poses have no scan with a valid range and so no radius")
+    return assemble(
+        file,
+        format=FORMAT,
+        poses=poses,
+        entries=entries,
+        radii=radii,
+        notes=[stated, *notes, *note_ignored(file, TAGS)],
+    )
+
+
+def _radii(file: TextFile) -> dict[int, float]:
+    """Smallest valid range of the scan that follows each vertex, by vertex."""
+    table = file.table("VERTEX2", ids=1, widths=[3])
+    radii: dict[int, float | None] = {}
+    for line in file.tags["ROBOTLASER1"]:
+        row = int(np.searchsorted(table.lines, line.number)) - 1
+        if row < 0:
+            raise file.error("expected a VERTEX2 line before the first ROBOTLASER1", line.number)
+        vertex = int(table.ids[row, 0])
+        if vertex in radii:
+            raise file.error(f"expected one scan per vertex, got a second one for vertex {vertex}", line.number)
+        radii[vertex] = smallest_range(read_scan(file, line))
+    return {vertex: radius for vertex, radius in radii.items() if radius is not None}

@@ -1,0 +1,114 @@
+"""Sightings of point landmarks given in Cartesian coordinates, as GTSAM's bearing-range factors.
+
+GTSAM's wheel binds no factor between a pose and a Cartesian point. With the point written as a function
+x(b, r) of bearing and range and K its Jacobian, the information in bearing and range is Kᵀ Λ K: nothing
+is inverted, so what was not measured stays unmeasured.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from pgti_gtsam.datasets.noise import information_models
+from pgti_gtsam.datasets.text import Table, TextFile
+
+Factory = Callable[[int, int, NDArray[np.float64], float, gtsam.noiseModel.Base], gtsam.NonlinearFactor]
+
+
+class Sighting(NamedTuple):
+    """Line, pose key, landmark key, the point seen from the pose's body (2,) or (3,) in metres, the factor."""
+
+    line: int
+    pose: int
+    landmark: int
+    point: NDArray[np.float64]
+    factor: gtsam.NonlinearFactor
+
+
+def landmark_key(identifier: int) -> int:
+    """Key of landmark ``identifier``; poses have plain numbers, so the two cannot collide."""
+    return int(gtsam.symbol("l", identifier))
+
+
+def planar_jacobian(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """∂(x, y)/∂(bearing, range) at points (n, 2) away from the origin, (n, 2, 2)."""
+    ranges = np.linalg.norm(points, axis=1, keepdims=True)
+    along = points / ranges
+    across = np.stack([-points[:, 1], points[:, 0]], axis=1)
+    return np.stack([across, along], axis=2)
+
+
+def spatial_jacobian(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """∂(x, y, z)/∂(bearing, range) at points (n, 3) away from the origin, (n, 3, 3).
+
+    Bearing is counted in the tangent basis of ``gtsam.Unit3`` at the point's direction, as GTSAM's reader does.
+    """
+    ranges = np.linalg.norm(points, axis=1)[:, None, None]
+    bases = np.array([gtsam.Unit3(point).basis() for point in points]).reshape(-1, 3, 2)
+    return np.concatenate([ranges * bases, points[:, :, None] / ranges], axis=2)
+
+
+def sightings(
+    file: TextFile, table: Table, points: NDArray[np.float64], information: NDArray[np.float64]
+) -> tuple[list[Sighting], list[str]]:
+    """Bearing-range factors of one kind of lines.
+
+    Parameters
+    ----------
+    file, table : TextFile, Table
+        The lines; ``table.ids`` starts with pose and landmark.
+    points : (n, d) float
+        What the pose sees, in its body frame, metres; d is 2 or 3.
+    information : (n, d, d) float
+        Of those points, in the same frame.
+
+    Returns
+    -------
+    sightings : list of Sighting
+    notes : list of str
+        A sentence when sightings had to be left out: at range zero there is no bearing.
+
+    Raises
+    ------
+    FileFormatError
+        An information matrix has a negative eigenvalue.
+    """
+    seen = np.linalg.norm(points, axis=1) > 0.0
+    kept = Table(lines=table.lines[seen], ids=table.ids[seen], numbers=table.numbers[seen])
+    points, information = points[seen], information[seen]
+    is_planar = points.shape[1] == 2
+    jacobians = planar_jacobian(points) if is_planar else spatial_jacobian(points)
+    models = information_models(file, kept, jacobians.transpose(0, 2, 1) @ information @ jacobians)
+    make: Factory = _planar_factor if is_planar else _spatial_factor
+    ranges = np.linalg.norm(points, axis=1).tolist()
+    found = []
+    for line, ids, point, range_m, model in zip(
+        kept.lines.tolist(), kept.ids.tolist(), points, ranges, models, strict=True
+    ):
+        pose, landmark = ids[0], landmark_key(ids[1])
+        found.append(Sighting(line, pose, landmark, point, make(pose, landmark, point, range_m, model)))
+    return found, _lost_note(table.lines[~seen])
+
+
+def _lost_note(lines: NDArray[np.int64]) -> list[str]:
+    if not lines.size:
+        return []
+    return [f"left out {lines.size} sightings at range zero, which have no bearing (first on line {lines[0]})"]
+
+
+def _planar_factor(
+    pose: int, landmark: int, point: NDArray[np.float64], range_m: float, model: gtsam.noiseModel.Base
+) -> gtsam.NonlinearFactor:
+    bearing = gtsam.Rot2.atan2(point[1], point[0])
+    return gtsam.BearingRangeFactor2D(pose, landmark, bearing, range_m, model)
+
+
+def _spatial_factor(
+    pose: int, landmark: int, point: NDArray[np.float64], range_m: float, model: gtsam.noiseModel.Base
+) -> gtsam.NonlinearFactor:
+    return gtsam.BearingRangeFactor3D(pose, landmark, gtsam.Unit3(point), range_m, model)

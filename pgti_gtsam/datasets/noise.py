@@ -1,0 +1,89 @@
+"""Information matrices of text files as GTSAM noise models."""
+
+from __future__ import annotations
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from pgti_gtsam.datasets.text import LARGEST, Table, TextFile
+
+
+def _upper_triangle(size: int) -> NDArray[np.int64]:
+    """Where entry (i, j) of a symmetric matrix stands in its upper triangle written row by row, (d, d)."""
+    places = np.zeros((size, size), np.int64)
+    places[np.triu_indices(size)] = np.arange(size * (size + 1) // 2)
+    return np.maximum(places, places.T)
+
+
+# `numbers[:, UPPER_3]` turns (n, 6) numbers into (n, 3, 3) symmetric matrices
+UPPER_2, UPPER_3 = _upper_triangle(2), _upper_triangle(3)
+TORO_3 = np.array([[0, 1, 4], [1, 2, 5], [4, 5, 3]])  # I11 I12 I22 I33 I13 I23, as TORO writes it
+ROTATION_FIRST = np.array([3, 4, 5, 0, 1, 2])
+# files write translation, then rotation; the tangent space of gtsam.Pose3 is rotation, then translation
+UPPER_6_SWAPPED = _upper_triangle(6)[np.ix_(ROTATION_FIRST, ROTATION_FIRST)]
+
+# Files write about six digits, so rounding alone can move a zero eigenvalue to either side by 1e-6 of the
+# largest; below 1e-12 GTSAM's Cholesky factor loses its last digits to rounding in float64.
+ROUNDING, SINGULAR = 1e-6, 1e-12
+
+
+def is_semidefinite(matrices: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Whether each of (n, d, d) symmetric matrices has no eigenvalue below zero, up to the file's rounding."""
+    eigenvalues = np.linalg.eigvalsh(matrices)
+    return np.asarray(eigenvalues[:, 0] >= -ROUNDING * eigenvalues[:, -1])
+
+
+def information_models(file: TextFile, table: Table, matrices: NDArray[np.float64]) -> list[gtsam.noiseModel.Base]:
+    """One Gaussian noise model per row of a table.
+
+    A singular matrix says nothing in some direction, as files do on purpose for what was not measured.
+    GTSAM's ``Gaussian.Information`` would turn it into NaN, so it becomes the square root R with
+    RᵀR = Λ, whose rows in the unmeasured directions are zero.
+
+    Parameters
+    ----------
+    file, table : TextFile, Table
+        Named in errors.
+    matrices : (n, d, d) float
+        Information, in the order of GTSAM's tangent space.
+
+    Raises
+    ------
+    FileFormatError
+        A matrix has a negative eigenvalue.
+    """
+    unique, first, inverse = np.unique(matrices, axis=0, return_index=True, return_inverse=True)
+    bad = first[~is_semidefinite(unique)]
+    if bad.size:
+        row = int(bad.min())
+        lowest = np.linalg.eigvalsh(matrices[row])[0]
+        message = f"expected a positive semidefinite information matrix, got one with eigenvalue {lowest:.6g}"
+        raise file.error(message, table.lines[row])
+    models = [_information_model(matrix) for matrix in unique]
+    return [models[i] for i in inverse.ravel().tolist()]
+
+
+def _information_model(matrix: NDArray[np.float64]) -> gtsam.noiseModel.Base:
+    eigenvalues, vectors = np.linalg.eigh(matrix)
+    if eigenvalues[0] > SINGULAR * eigenvalues[-1]:
+        return gtsam.noiseModel.Gaussian.Information(matrix)
+    root = np.sqrt(np.maximum(eigenvalues, 0.0))[:, None] * vectors.T
+    return gtsam.noiseModel.Gaussian.SqrtInformation(root, False)  # no shortcut to sigmas: one would be inf
+
+
+def inverse_covariances(file: TextFile, table: Table, covariances: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Information (n, d, d) of covariances (n, d, d).
+
+    Raises
+    ------
+    FileFormatError
+        A covariance is not positive definite.
+    """
+    eigenvalues = np.linalg.eigvalsh(covariances)
+    bad = np.flatnonzero(eigenvalues[:, 0] <= np.maximum(SINGULAR * eigenvalues[:, -1], 1 / LARGEST))
+    if bad.size:
+        lowest = eigenvalues[bad[0], 0]
+        message = f"expected a positive definite covariance matrix, got one with eigenvalue {lowest:.6g}"
+        raise file.error(message, table.lines[bad[0]])
+    return np.asarray(np.linalg.inv(covariances), np.float64)

@@ -1,0 +1,76 @@
+"""Labels and truth that lie beside a g2o file.
+
+The KITTI graphs of dataset-RobustSLAM (Latif): ``kitti_06_alpha_0.15.g2o`` holds libviso2 odometry and the loops that
+a detector reported, ``kitti_06_alpha_0.15_GT_LC.txt`` names the true ones, a pair of poses per line, and
+``kitti_06_GT.g2o`` holds the ground-truth motion. In ``kitti_06_odom_GT_LC.g2o`` all loops are true. In the labelled
+files of sequences 00, 06 and 07 a true loop measures a motion and a false one exactly the identity: whoever compares
+methods on them must not let a method see that. Other graphs come with ``NAME_ground_truth`` or ``NAME_groundtruth``
+beside them.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import gtsam
+import numpy as np
+
+from pgti_gtsam.datasets.chain import between_factors
+from pgti_gtsam.datasets.dataset import Dataset
+from pgti_gtsam.datasets.text import parse_table, read_text, split_lines
+
+LABELS = "_GT_LC"
+DRIFTING = re.compile(r"^(.+)_(alpha_[\d.]+|odom|odom_GT_LC)$")  # names of files with odometry: sequence, kind
+
+
+def with_labels(dataset: Dataset, path: Path) -> Dataset:
+    """The dataset with its true closures, where a label file lies beside ``path`` or its name says so.
+
+    Raises
+    ------
+    FileFormatError
+        A label is no pair of identifiers.
+    """
+    name = DRIFTING.match(dataset.name)
+    if name and name[2].endswith(LABELS):
+        return replace(dataset, true_closures=frozenset(dataset.closures))
+    labels = path.with_name(f"{dataset.name}{LABELS}.txt")
+    if not labels.is_file():
+        return dataset
+    table = parse_table(labels, split_lines(labels, read_text(labels)).lines, ids=2, widths=[0], tagged=False)
+    true = {frozenset(pair) for pair in table.ids.tolist()}  # the order of a pair says nothing
+    ends = {slot: frozenset(dataset.graph.at(slot).keys()) for slot in dataset.closures}
+    notes = [f"{labels.name} names the true closures", *_identity_note(dataset)]
+    if lost := len(true - set(ends.values())):
+        notes.append(f"{lost} pairs in {labels.name} are no closure of the graph")
+    return replace(
+        dataset,
+        true_closures=frozenset(slot for slot, pair in ends.items() if pair in true),
+        notes=(*dataset.notes, *notes),
+    )
+
+
+def _identity_note(dataset: Dataset) -> list[str]:
+    closures = set(dataset.closures)
+    measured = [b.factor.measured().matrix() for b in between_factors(dataset.graph) if b.slot in closures]
+    count = sum(np.array_equal(matrix, np.eye(len(matrix))) for matrix in measured)
+    return [f"{count} of {len(measured)} closures measure exactly the identity"] if count else []
+
+
+def with_truth(dataset: Dataset, path: Path, read: Callable[[Path], Dataset]) -> Dataset:
+    """The dataset with the ground-truth poses that ``read`` finds in a file beside ``path``, if there is one."""
+    truth = next((other for other in _truth_paths(dataset.name, path) if other.is_file()), None)
+    if truth is None:
+        return dataset
+    note = f"ground truth from {truth.name}"
+    return replace(dataset, truth=gtsam.Values(read(truth).values), notes=(*dataset.notes, note))
+
+
+def _truth_paths(name: str, path: Path) -> list[Path]:
+    match = DRIFTING.match(name)
+    names = [f"{match[1]}_GT"] if match else []
+    names += [f"{name}_ground_truth", f"{name}_groundtruth"]
+    return [path.with_name(other + path.name.removeprefix(name)) for other in names]

@@ -1,0 +1,141 @@
+"""Fewer keyframes: every k-th pose, the odometry between them composed."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence, Set
+from dataclasses import replace
+from functools import reduce
+from itertools import pairwise
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from pgti_gtsam.datasets.chain import Between, Pose, odometry_factors, odometry_links, poses_of
+from pgti_gtsam.datasets.dataset import Dataset
+from pgti_gtsam.errors import InvalidGraphError, InvalidOptionError
+
+
+class Step(NamedTuple):
+    """A relative pose and the covariance of its right-hand error in GTSAM's tangent space, (3, 3) or (6, 6)."""
+
+    pose: Pose
+    covariance: NDArray[np.float64]
+
+
+def subsample(dataset: Dataset, every: int = 5) -> Dataset:
+    """Keep every ``every``-th pose, counted from the first; keys stay what they were.
+
+    Closures, sightings and other factors stay where all their poses do, landmarks where a factor does.
+    Where a step of odometry is missing, so is the one composed of it.
+
+    Parameters
+    ----------
+    dataset : Dataset
+    every : int
+        1 keeps everything.
+
+    Returns
+    -------
+    Dataset
+        Composed odometry first, then the factors that stay, in their order.
+
+    Raises
+    ------
+    InvalidOptionError
+        ``every`` is below 1.
+    InvalidGraphError
+        A step has a singular covariance or information matrix, which cannot be composed.
+    """
+    if every < 1:
+        raise InvalidOptionError(f"expected to keep every pose (1) or fewer, got every={every}")
+    keys = list(poses_of(dataset.values))
+    dropped = set(keys) - set(keys[::every])
+    if not dropped:
+        return dataset
+    odometry = odometry_factors(dataset)
+    graph = _composed_odometry(keys, odometry_links(keys, odometry), every)
+    note = f"one pose in {every} is kept, {len(keys) - len(dropped)} of {len(keys)}; {graph.size()} composed steps"
+    slots = _copy_factors(dataset.graph, graph, {step.slot for step in odometry}, dropped)
+    radii, true, truth = dataset.radii, dataset.true_closures, dataset.truth
+    return replace(
+        dataset,
+        graph=graph,
+        values=_without(dataset.values, dropped | _unseen(dataset.values, graph, keys)),
+        radii=None if radii is None else MappingProxyType({k: radii[k] for k in radii if k not in dropped}),
+        closures=tuple(slots[slot] for slot in dataset.closures if slot in slots),
+        true_closures=None if true is None else frozenset(slots[slot] for slot in true if slot in slots),
+        truth=None if truth is None else _without(truth, dropped),
+        notes=(*dataset.notes, note),
+    )
+
+
+def compose(first: Step, second: Step) -> Step:
+    """One step after the other.
+
+    T₁ Exp(ξ₁) T₂ Exp(ξ₂) = T₁ T₂ Exp(Ad(T₂⁻¹) ξ₁) Exp(ξ₂), so to first order
+    Σ = Ad(T₂⁻¹) Σ₁ Ad(T₂⁻¹)ᵀ + Σ₂ (Barfoot and Furgale, doi:10.1109/TRO.2014.2298059).
+    """
+    carry = second.pose.inverse().AdjointMap()
+    covariance = carry @ first.covariance @ carry.T + second.covariance
+    return Step(first.pose * second.pose, covariance)
+
+
+def _composed_odometry(
+    keys: Sequence[int], links: Mapping[tuple[int, int], Between], every: int
+) -> gtsam.NonlinearFactorGraph:
+    graph = gtsam.NonlinearFactorGraph()
+    for i, j in pairwise(range(0, len(keys), every)):
+        pairs = list(pairwise(keys[i : j + 1]))
+        if all(pair in links for pair in pairs):
+            step = reduce(compose, [_step(links[pair], pair[0]) for pair in pairs])
+            make = gtsam.BetweenFactorPose2 if len(step.covariance) == 3 else gtsam.BetweenFactorPose3
+            model = gtsam.noiseModel.Gaussian.Covariance(step.covariance)
+            graph.push_back(make(keys[i], keys[j], step.pose, model))
+    return graph
+
+
+def _step(link: Between, key: int) -> Step:
+    """The step that leads away from ``key``; one stored the other way round is inverted, error and all."""
+    model = link.factor.noiseModel()
+    gaussian: Any = model.noise() if isinstance(model, gtsam.noiseModel.Robust) else model
+    information = np.asarray(gaussian.information())
+    if not np.isfinite(information).all() or np.linalg.matrix_rank(information) < len(information):
+        message = f"odometry in slot {link.slot} has a singular noise model: its uncertainty cannot be composed"
+        raise InvalidGraphError(message)
+    measured, covariance = link.factor.measured(), np.linalg.inv(information)
+    if key == link.first:
+        return Step(measured, covariance)
+    carry = measured.AdjointMap()  # (T Exp ξ)⁻¹ = T⁻¹ Exp(−Ad(T) ξ)
+    return Step(measured.inverse(), carry @ covariance @ carry.T)
+
+
+def _copy_factors(
+    source: gtsam.NonlinearFactorGraph,
+    target: gtsam.NonlinearFactorGraph,
+    odometry: Collection[int],
+    dropped: Set[int],
+) -> dict[int, int]:
+    """Add the factors that are no odometry and touch no dropped pose; their old slots to their new ones."""
+    slots = {}
+    for slot in range(source.size()):
+        factor = source.at(slot)
+        if factor is not None and slot not in odometry and dropped.isdisjoint(factor.keys()):
+            slots[slot] = target.size()
+            target.push_back(factor)
+    return slots
+
+
+def _unseen(values: gtsam.Values, graph: gtsam.NonlinearFactorGraph, poses: Sequence[int]) -> set[int]:
+    """Variables that are no poses and that no factor refers to."""
+    return set(values.keys()) - set(poses) - set(graph.keyVector())
+
+
+def _without(values: gtsam.Values, dropped: Collection[int]) -> gtsam.Values:
+    fewer = gtsam.Values(values)
+    for key in dropped:
+        if fewer.exists(key):
+            fewer.erase(key)
+    return fewer
