@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pgti_gtsam.errors import InvalidOptionError
 from pgti_gtsam.optimality import OptimalityComparison, compare_optimality
 from pgti_gtsam.pose_graph import PoseGraph
-from pgti_gtsam.spectral.heat_kernel import HeatKernel, heat_kernels
+from pgti_gtsam.spectral.heat_kernel import TOLERANCE, HeatKernel, Method, heat_kernels
 from pgti_gtsam.support_graph import SupportGraph, support_graph
 
 STABLE_TIMES = np.geomspace(0.5, 2000.0, 40)
@@ -69,6 +69,9 @@ class Integrity:
         Share at which `split` divides the time grid when not told.
     n_components_pose_graph, n_components_merged_graph : int
         Connected components of G_p and G_m.
+    error_estimate : float
+        Estimated error of the signatures relative to the largest one; zero where they come from a
+        dense eigendecomposition.
     """
 
     keyframe_scores: NDArray[np.float64]
@@ -84,6 +87,7 @@ class Integrity:
     beta: float
     n_components_pose_graph: int
     n_components_merged_graph: int
+    error_estimate: float
 
     def __post_init__(self) -> None:
         for name in ("keyframe_scores", "stable_scores", "times"):
@@ -140,7 +144,15 @@ class Integrity:
         )
 
 
-def assess(pose_graph: PoseGraph, *, beta: float = 0.5, n_times: int = 100, norm: int = 2) -> Integrity:
+def assess(
+    pose_graph: PoseGraph,
+    *,
+    beta: float = 0.5,
+    n_times: int = 100,
+    norm: int = 2,
+    method: Method = "auto",
+    tolerance: float = TOLERANCE,
+) -> Integrity:
     """Score how far a pose graph disagrees with the free space that was seen (section 5).
 
     Parameters
@@ -152,6 +164,11 @@ def assess(pose_graph: PoseGraph, *, beta: float = 0.5, n_times: int = 100, norm
         Number of times in the grid, two or more; the paper takes 100.
     norm : {1, 2}
         p of Eq. 17; the paper takes 2.
+    method : {"auto", "dense", "poles"}
+        Dense eigendecomposition, or resolvents of sparse factorisations in nearly linear time; "auto"
+        takes the faster one.
+    tolerance : float
+        Error relative to the largest signature that "poles" may make, from 1e-11 to 1e-2.
 
     Returns
     -------
@@ -174,7 +191,9 @@ def assess(pose_graph: PoseGraph, *, beta: float = 0.5, n_times: int = 100, norm
     if norm not in (1, 2):
         raise InvalidOptionError(f"expected norm 1 or 2, got {norm}")
     support: SupportGraph = support_graph(pose_graph)
-    kernel_p, kernel_m = heat_kernels(len(pose_graph), pose_graph.edges, support.merged_edges)
+    kernel_p, kernel_m = heat_kernels(
+        len(pose_graph), pose_graph.edges, support.merged_edges, method=method, tolerance=tolerance
+    )
     times = time_grid(kernel_m, n_times)
     signatures_p, signatures_m = kernel_p.signatures(times), kernel_m.signatures(times)
     return Integrity(
@@ -191,6 +210,7 @@ def assess(pose_graph: PoseGraph, *, beta: float = 0.5, n_times: int = 100, norm
         beta=beta,
         n_components_pose_graph=kernel_p.n_components,
         n_components_merged_graph=kernel_m.n_components,
+        error_estimate=max(kernel_p.error_estimate, kernel_m.error_estimate),
     )
 
 

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import expm
 
-from pgti_gtsam.spectral.heat_kernel import dense_heat_kernel
+from pgti_gtsam.spectral.dense_kernel import dense_heat_kernel
 from pgti_gtsam.spectral.laplacian import connected_components, laplacian
 
 SETTINGS = settings(derandomize=True, deadline=None, max_examples=60)

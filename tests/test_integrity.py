@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 import pgti_gtsam as pgti
 from pgti_gtsam.errors import InvalidOptionError
 from pgti_gtsam.integrity import STABLE_TIMES
+from pgti_gtsam.spectral.heat_kernel import ALWAYS_DENSE
 
 SETTINGS = settings(derandomize=True, deadline=None, max_examples=60)
 
@@ -28,8 +29,45 @@ def test_scores_agree_with_the_transcription_of_the_paper(pose_graph, norm, beta
     np.testing.assert_allclose(found.keyframe_scores, expected["Z"], rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(found.score, expected["Lambda"], rtol=1e-9, atol=1e-9)
     if int(np.argmax(expected["Z"])) == found.worst:  # equal scores may make another keyframe the worst
-        np.testing.assert_allclose(found.split().local, expected["local"], rtol=1e-9, atol=1e-9)
-        np.testing.assert_allclose(found.split().global_, expected["global"], rtol=1e-9, atol=1e-9)
+        assert_close(found.split().local, expected["local"])
+        assert_close(found.split().global_, expected["global"])
+
+
+def assert_close(found, expected):
+    """To 1e-9; but where a part of a disconnected graph has lost its heat, ζ divides by next to nothing.
+
+    There the transcription, which decomposes all parts in one matrix, divides by its own rounding errors.
+    """
+    if expected < 1e6:
+        np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
+    else:
+        assert found > 1e6
+
+
+@settings(SETTINGS, max_examples=40)
+@given(pose_graphs())
+def test_both_solvers_give_the_same_scores(pose_graph):
+    dense, poles = (pgti.assess(pose_graph, method=method) for method in ("dense", "poles"))
+    assert dense.error_estimate == 0
+    assert 0 <= poles.error_estimate < 1e-6
+    np.testing.assert_allclose(poles.keyframe_scores, dense.keyframe_scores, atol=1e-6)
+    np.testing.assert_allclose(poles.stable_scores, dense.stable_scores, atol=1e-6)
+
+
+def test_the_solver_changes_where_the_map_is_long_and_the_scores_do_not():
+    short, long = (crossing_hairpin(ALWAYS_DENSE - 82 + extra) for extra in (0, 500))
+    assert pgti.assess(short).error_estimate == 0
+    found = pgti.assess(long)
+    assert found.error_estimate > 0
+    dense = pgti.assess(long, method="dense")
+    np.testing.assert_allclose(found.keyframe_scores, dense.keyframe_scores, atol=1e-6)
+
+
+def test_a_map_that_is_no_track_is_decomposed_however_large_it_seems():
+    rng = np.random.default_rng(0)
+    pairs = np.unique(np.sort(rng.integers(0, 700, size=(4000, 2)), axis=1), axis=0)
+    tangled = graph_of(rng.normal(size=(700, 3)), pairs[pairs[:, 0] != pairs[:, 1]], 1e-3)
+    assert pgti.assess(tangled).error_estimate == 0
 
 
 @SETTINGS
@@ -146,7 +184,9 @@ def test_the_grid_of_the_stable_score_is_fixed():
     assert STABLE_TIMES[[0, -1]].tolist() == pytest.approx([0.5, 2000.0])
 
 
-@pytest.mark.parametrize("options", [{"beta": 0.0}, {"beta": 1.0}, {"beta": np.nan}, {"n_times": 1}, {"norm": 3}])
+@pytest.mark.parametrize(
+    "options", [{"beta": 0.0}, {"beta": 1.0}, {"beta": np.nan}, {"n_times": 1}, {"norm": 3}, {"method": "fast"}]
+)
 def test_options_outside_their_range_are_named(options):
     with pytest.raises(InvalidOptionError, match=next(iter(options))):
         pgti.assess(hairpin(5), **options)

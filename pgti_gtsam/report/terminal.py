@@ -53,7 +53,8 @@ def _read(document: Mapping[str, Any]) -> RenderableType:
     table.add_row("format", Text(document["input"]["format"]))
     table.add_row("keyframes", f"{summary['n_keyframes']}")
     if adaptation is not None:
-        table.add_row("landmarks", f"{adaptation['n_landmarks']} in {adaptation['n_observations']} sightings")
+        if adaptation["n_observations"]:
+            table.add_row("landmarks", f"{adaptation['n_landmarks']} in {adaptation['n_observations']} sightings")
         sources = ", ".join(f"{count} {name}" for name, count in adaptation["edges"].items())
         table.add_row("edges", f"{summary['n_pose_graph_edges']} ({sources}, merged)")
         for what in ("used", "ignored"):

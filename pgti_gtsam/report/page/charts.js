@@ -1,0 +1,153 @@
+// The flat charts, and what all plots share.
+
+const plotConfig = {
+  responsive: true, displaylogo: false, displayModeBar: false, doubleClick: "reset",
+};
+const mapConfig = {
+  ...plotConfig, displayModeBar: true, scrollZoom: true,
+  modeBarButtonsToRemove: ["resetCameraDefault3d", "resetCameraLastSave3d"],
+};
+
+/** The page's colours, as the style sheet sets them for light or dark. */
+function theme() {
+  const style = getComputedStyle(document.documentElement);
+  const names = ["ink", "muted", "grid", "panel", "blue", "red", "shade", "wash", "ball", "outline", "accent"];
+  return Object.fromEntries(names.map((name) => [name, style.getPropertyValue(`--${name}`).trim()]));
+}
+
+function plainLayout() {
+  const colors = theme();
+  return {
+    paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)", showlegend: false, hovermode: "closest",
+    font: { family: "system-ui, -apple-system, 'Segoe UI', Roboto, sans-serif", size: 12, color: colors.ink },
+    hoverlabel: { bgcolor: colors.panel, bordercolor: colors.muted, font: { color: colors.ink }, align: "left" },
+    margin: { l: 58, r: 12, t: 8, b: 44 },
+    modebar: { bgcolor: "rgba(0,0,0,0)", color: colors.muted, activecolor: colors.ink },
+  };
+}
+
+function flatAxis(title, more = {}) {
+  const colors = theme();
+  return {
+    title: { text: title, standoff: 6, font: { color: colors.muted } }, gridcolor: colors.grid, zeroline: false,
+    linecolor: colors.muted, tickfont: { color: colors.muted }, automargin: true,
+    exponentformat: "power", ...more,
+  };
+}
+
+const topLegend = { orientation: "h", x: 0, y: 1.02, yanchor: "bottom", bgcolor: "rgba(0,0,0,0)" };
+
+/** A dashed vertical line at x, in data units, over the whole height. */
+const upright = (x) => ({
+  type: "line", x0: x, x1: x, yref: "paper", y0: 0, y1: 1, line: { color: theme().muted, width: 1, dash: "dash" },
+});
+
+const decades = (values) => Math.log10(values.at(-1) / values[0]);
+
+const cornerNote = (x, xanchor, text) => ({
+  x, xanchor, yref: "paper", y: 1, yanchor: "top", showarrow: false, text, font: { color: theme().muted, size: 11 },
+});
+
+/** Both signatures of a keyframe, their difference shaded, the split β marked. */
+function drawSignature(keyframe) {
+  const signature = signatureOf(keyframe);
+  byId("signature").hidden = signature === null;
+  if (signature === null) {
+    byId("signature-hint").textContent = "The document holds no signatures of this keyframe; the worst ones have them.";
+    return Promise.resolve();
+  }
+  const { times } = audit;
+  const { beta } = audit.summary.split;
+  const split = localTimes(beta);
+  const local = distortion(signature, 0, split);
+  const global = distortion(signature, split, times.length);
+  byId("signature-hint").textContent =
+    `Shaded: what the missing connections change. Split at β = ${beta}: ` +
+    `local ζ ${short(local)}, global ζ ${short(global)}.`;
+  const colors = theme();
+  const curve = (y, name, color, dash, fill) => ({
+    x: times, y: Array.from(y), name, mode: "lines", line: { color, width: 2, dash }, fill, fillcolor: colors.shade,
+    hovertemplate: "t %{x:.3g}: %{y:.4g}",
+  });
+  const traces = [
+    curve(signature.poseGraph, "pose graph", colors.blue, "solid", "none"),
+    curve(signature.mergedGraph, "merged graph", colors.red, "dot", "tonexty"),
+  ];
+  const layout = {
+    ...plainLayout(), showlegend: true, legend: topLegend, hovermode: "x", margin: { l: 58, r: 12, t: 30, b: 44 },
+    xaxis: flatAxis("diffusion time", { type: "log", dtick: decades(times) >= 2 ? 1 : undefined }),
+    yaxis: flatAxis("", { rangemode: "tozero", nticks: 6 }),
+  };
+  if (0 < split && split < times.length) {
+    const at = Math.sqrt(times[split - 1] * times[split]);
+    layout.shapes = [upright(at)];
+    layout.annotations = [cornerNote(Math.log10(at), "right", "local "), cornerNote(Math.log10(at), "left", " global")];
+  }
+  return Plotly.react("signature", traces, layout, plotConfig);
+}
+
+/** ζ and stable score by keyframe: two charts, one abscissa. Infinite scores stand as triangles at the top. */
+function drawTrajectory(keyframe, logarithmic) {
+  const colors = theme();
+  const index = Array.from(keyframes.label.keys());
+  const words = (values, name) => (i) => `<b>${plotText(keyframes.label[i])}</b><br>${name} ${short(values[i])}`;
+  const curve = (values, name, yaxis) => ({
+    x: index, y: Array.from(values, (v) => (v < Infinity && !(logarithmic && v === 0) ? v : null)), name, yaxis,
+    mode: keyframes.n <= 2 ? "markers" : "lines", line: { color: colors.accent, width: 1.6 },
+    marker: { color: colors.accent }, fill: logarithmic ? "none" : "tozeroy", fillcolor: colors.wash,
+    text: index.map(words(values, name)), hoverinfo: "text",
+  });
+  const peaks = (values, name, yaxis) => {
+    const at = index.filter((i) => values[i] === Infinity);
+    const top = values.reduce((most, v) => (v < Infinity && v > most ? v : most), 0) || 1;
+    return {
+      x: at, y: at.map(() => top), mode: "markers", name, yaxis, text: at.map(words(values, name)), hoverinfo: "text",
+      marker: { symbol: "triangle-up", size: 9, color: colors.red },
+    };
+  };
+  const chosen = (values, yaxis) => ({
+    x: [keyframe], y: [values[keyframe] < Infinity ? values[keyframe] : null], yaxis, mode: "markers", hoverinfo: "skip",
+    marker: { size: 9, color: colors.panel, line: { color: colors.ink, width: 2 } },
+  });
+  const scale = { type: logarithmic ? "log" : "linear", rangemode: "tozero", nticks: 5 };
+  const range = [-0.01 * keyframes.n - 0.5, 1.01 * keyframes.n - 0.5];
+  const layout = {
+    ...plainLayout(), shapes: [upright(keyframe)],
+    xaxis: flatAxis("keyframe index", { anchor: "y2", range, tickformat: ",d" }),
+    yaxis: flatAxis("ζ", { domain: [0.55, 1], ...scale }),
+    yaxis2: flatAxis("stable score", { domain: [0, 0.45], ...scale }),
+  };
+  const traces = [
+    curve(keyframes.score, "ζ", "y"), curve(keyframes.stable, "stable score", "y2"),
+    peaks(keyframes.score, "ζ", "y"), peaks(keyframes.stable, "stable score", "y2"),
+    chosen(keyframes.score, "y"), chosen(keyframes.stable, "y2"),
+  ];
+  return Plotly.react("trajectory", traces, layout, plotConfig);
+}
+
+/** Λ_loc and Λ_glob against β; infinite values are left out. */
+function drawSweep() {
+  const colors = theme();
+  const beta = audit.beta_sweep.map((row) => row.beta);
+  const scores = (key) => audit.beta_sweep.map((row) => scoreOf(row[key]));
+  const curve = (key, name, color, symbol) => ({
+    x: beta, y: scores(key).map((s) => (s < Infinity ? s : null)), name,
+    mode: "lines+markers", line: { color, width: 2 }, marker: { symbol, size: 7, color },
+    hovertemplate: "β %{x}: %{y:.3g}",
+  });
+  const layout = {
+    ...plainLayout(), showlegend: true, legend: topLegend, hovermode: "x", margin: { l: 58, r: 12, t: 30, b: 44 },
+    shapes: [upright(audit.summary.split.beta)], xaxis: flatAxis("split β", { range: [0, 1] }),
+    yaxis: flatAxis("", { rangemode: "tozero", nticks: 6 }),
+  };
+  if (![...scores("local"), ...scores("global")].some((s) => s < Infinity)) {
+    const text = "Infinite at every β: the pose graph leaves<br>the worst keyframe alone.";
+    const inside = { xref: "paper", x: 0.5, yref: "paper", y: 0.5, showarrow: false, bgcolor: colors.panel };
+    layout.annotations = [{ ...inside, text }];
+  }
+  const traces = [
+    curve("local", "Λ<sub>loc</sub>", colors.accent, "circle"),
+    curve("global", "Λ<sub>glob</sub>", colors.red, "square"),
+  ];
+  return Plotly.react("sweep", traces, layout, plotConfig);
+}

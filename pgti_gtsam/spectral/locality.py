@@ -1,0 +1,153 @@
+"""What a few inserted edges change in the heat kernel nearby, at a cost that does not grow with the graph.
+
+Heat reaches about √t hops in the time t. So the kernel's change at times up to t is computed on a ball U of
+vertices around the ends of the inserted edges, from which heat leaves for good: with D the Laplacian's block on U,
+the killed kernel exp(−tD). How much is lost is known afterwards. For an inserted edge ab and b = e_a − e_b,
+Duhamel's formula gives the change at a vertex i,
+
+    K'_ii(t) − K_ii(t) = −Σ_ab ∫₀ᵗ u(t − s) v(s) ds,   u = (K b)_i,  v = (K' b)_i,
+
+and the same on U with the killed kernels. K_ai exceeds its killed version by at most the probability ε_ab(t) that
+the walk from an end of the edge has left U by the time t (ε' with the inserted edges), and ∫ v² ≤ bᵀ(2L')⁺b ≤ 1/2,
+as ab is an edge of L'. By Cauchy and Schwarz the error of the change is at most
+
+    Σ_ab √(t/2) (ε_ab(t) + ε'_ab(t) √R),   R = e bᵀ(D + I/(2t))⁻¹b ≥ 2 ∫₀ᵗ |exp(−sD)b|² ds,
+
+at every vertex of the graph, the change outside U taken as zero. (Walks killed at the rim of a set: Grigor'yan,
+Introduction to Analysis on Graphs, 2018, doi:10.1090/ulect/071; the bound is derived here.)
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from pgti_gtsam.spectral import poles
+from pgti_gtsam.spectral.elimination_tree import analyse
+from pgti_gtsam.spectral.low_rank import differences, incidence
+from pgti_gtsam.spectral.selected_inverse import FrontEntries, factorise, inverse_diagonal, solve
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+ComplexArray = NDArray[np.complex128]
+
+FIRST_BALL = 400  # vertices; doubled until the bound is met
+POLE_TOLERANCE = 1e-9
+SLOWEST_POLE = 0.1  # over the longest time: the fit from λ = 0 on is then good to 1e-7
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LocalChange:
+    """Heat kernel near inserted edges, without and with them.
+
+    Attributes
+    ----------
+    vertices : (m,) int
+        Of the ball; the changes elsewhere are below the bound.
+    before, after : (m, n_times) float
+        K_ii(t) of the ball, from which heat leaves for good: below the graph's K_ii(t) near its rim.
+    bound : (n_times,) float
+        Largest error of after − before as the change of K_ii(t), at any vertex of the graph.
+    """
+
+    vertices: IntArray
+    before: FloatArray
+    after: FloatArray
+    bound: FloatArray
+
+
+def local_change(
+    laplacian: sparse.csc_array,
+    inserted: IntArray,
+    times: FloatArray,
+    tolerance: float = 1e-4,
+    max_vertices: int = 4000,
+) -> LocalChange:
+    """Change of K_ii(t) by inserted edges, near them.
+
+    Parameters
+    ----------
+    laplacian : (n, n) sparse
+        Of the graph without the inserted edges, unweighted.
+    inserted : (k, 2) int
+        At least one pair of distinct vertices.
+    times : (n_times,) float
+        Positive.
+    tolerance : float
+        Asked of the bound, on K_ii(t) between zero and one.
+    max_vertices : int
+        Where the ball stops growing even if the bound is not met.
+    """
+    inserted = np.asarray(inserted, dtype=np.int64).reshape(-1, 2)
+    seeds = np.unique(inserted)
+    size = min(FIRST_BALL * len(seeds), max_vertices)
+    while True:
+        vertices = _ball(laplacian, seeds, size)
+        change = _on_ball(laplacian, vertices, inserted, np.asarray(times, dtype=float))
+        if change.bound.max() <= tolerance or len(vertices) < size or size >= max_vertices:
+            return change
+        size = min(2 * size, max_vertices)
+
+
+def _ball(laplacian: sparse.csc_array, seeds: IntArray, size: int) -> IntArray:
+    """The vertices fewest hops from the seeds, about as many as asked for, ascending."""
+    seen = np.zeros(laplacian.shape[0], dtype=bool)
+    seen[seeds] = True
+    frontier, found = seeds, [seeds]
+    while len(frontier) and sum(map(len, found)) < size:
+        neighbours = np.unique(laplacian[:, frontier].indices).astype(np.int64)
+        frontier = neighbours[~seen[neighbours]]
+        seen[frontier] = True
+        found.append(frontier)
+    return np.sort(np.concatenate(found)).astype(np.int64)
+
+
+def _on_ball(laplacian: sparse.csc_array, vertices: IntArray, inserted: IntArray, times: FloatArray) -> LocalChange:
+    block = sparse.csc_array(laplacian[:, vertices].tocsr()[vertices])
+    grounds = np.maximum(block.sum(axis=0), 0.0)  # edges that lead out of the ball
+    upper = sparse.triu(block, k=1).tocoo()
+    tree = analyse(len(vertices), np.stack([upper.row, upper.col], axis=1))
+    ends = tree.positions[np.searchsorted(vertices, inserted)]
+    degree = block.diagonal().max() + np.bincount(inserted.ravel()).max()
+    largest, slowest = 2 * float(degree), 1 / float(times.max())
+    shifts = poles.place(min(SLOWEST_POLE * slowest, largest), largest, POLE_TOLERANCE)
+    fit = poles.fit_from_zero(shifts, times, largest)
+
+    factor = factorise(FrontEntries.of(tree, block, grounds), np.append(shifts, 0.5 * slowest))
+    columns = solve(factor, np.column_stack([incidence(len(vertices), ends), grounds[tree.order]]))
+    y, escape = columns[:-1, :, :-1], columns[:-1, :, -1]
+    inverse = np.linalg.inv(np.eye(len(ends)) + differences(y, ends))
+    drop = np.einsum("pnk,pnk->pn", y @ inverse, y)[:, tree.positions]
+    escape_after = escape - (y @ (inverse @ differences(escape[:, :, None], ends)))[:, :, 0]
+
+    diagonals = inverse_diagonal(factor)[:-1]
+    left, left_after = (_probability_left(e[:, ends], shifts, fit) for e in (escape, escape_after))
+    resistances = np.e * np.diagonal(differences(columns[-1:, :, :-1], ends)[0]).real
+    if grounds.any():
+        left, left_after = left + fit.largest_error, left_after + fit.largest_error
+    lost = left + left_after * np.sqrt(resistances)[:, None]
+    return LocalChange(
+        vertices=vertices,
+        before=_sum(diagonals, fit),
+        after=_sum(diagonals - drop, fit),
+        bound=np.sqrt(times / 2) * lost.sum(axis=0),
+    )
+
+
+def _sum(resolvents: ComplexArray, fit: poles.Fit) -> FloatArray:
+    """The exponentials from the resolvents, (p, m) -> (m, n_times)."""
+    return np.asarray((resolvents.T @ fit.weights).real + fit.constants)
+
+
+def _probability_left(escape: ComplexArray, shifts: ComplexArray, fit: poles.Fit) -> FloatArray:
+    """Probability to have left the ball, of the worse end of every inserted edge: (k, n_times).
+
+    A walk is still inside with probability exp(−tD)1, and (D + zI)⁻¹ 1 = (1 − escape)/z, where escape, of shape
+    (p, k, 2), is (D + zI)⁻¹ times the number of edges that lead out. The fit's value at λ = 0 is one.
+    """
+    p, k, _ = escape.shape
+    left = ((escape / shifts[:, None, None]).reshape(p, 2 * k).T @ fit.weights).real
+    return np.asarray(np.clip(left, 0.0, 1.0).reshape(k, 2, -1).max(axis=1))
