@@ -1,0 +1,45 @@
+"""`python -m scenarios NAME`: run one experiment; `python -m scenarios list` says what each shows."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from pgti_gtsam.errors import PgtiError
+from scenarios import speed as speed_experiment
+
+RESULTS = Path(__file__).parent / "results"
+
+app = typer.Typer(add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode=None)
+
+
+@app.command("list")
+def list_experiments() -> None:
+    """Say what each experiment shows and how long it takes."""
+    for command in app.registered_commands:
+        if command.callback is not list_experiments and command.callback is not None:
+            print(f"{command.callback.__name__:8s} {(command.callback.__doc__ or '').strip()}")
+
+
+@app.command()
+def speed(
+    data: Annotated[Path | None, typer.Option(help="Folder with the real graphs; synthetic ones only without.")] = None,
+    largest: Annotated[int, typer.Option(help="Vertices of the largest synthetic graph.")] = 100_000,
+    dense_up_to: Annotated[int, typer.Option(help="Vertices up to which dense decomposition is timed too.")] = 3000,
+    out: Annotated[Path, typer.Option(help="Where the JSON goes.")] = RESULTS / "speed.json",
+) -> None:
+    """Heat kernel of all vertices: poles, dense, Lanczos; time, memory, error, growth. About 10 minutes."""
+    found = speed_experiment.run(data, largest, dense_up_to, tell=print)
+    speed_experiment.write(found, out)
+    print(f"results: {out}")
+
+
+if __name__ == "__main__":
+    try:
+        app()
+    except PgtiError as error:
+        print(f"scenarios: {error}", file=sys.stderr)
+        sys.exit(2)

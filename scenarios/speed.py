@@ -1,0 +1,189 @@
+"""How long the heat kernels of pose graph and merged graph take, by solver, and how that grows.
+
+Every measurement is a fresh process with one BLAS thread, so that times are processor times and peaks of
+memory are a solver's own; the solvers of one graph run one after the other, so that ratios hold when the
+machine's speed drifts.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import resource
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse.linalg import eigsh
+
+import pgti_gtsam as pgti
+from pgti_gtsam import datasets
+from pgti_gtsam.errors import InvalidOptionError
+from pgti_gtsam.integrity import STABLE_TIMES, relative_distortion, time_grid
+from pgti_gtsam.spectral.heat_kernel import heat_kernels
+from pgti_gtsam.spectral.laplacian import laplacian
+from pgti_gtsam.support_graph import support_graph
+
+Edges = NDArray[np.int64]
+Row = dict[str, Any]
+
+REAL = {
+    "kitti_00": ("kitti_robustslam/00/kitti_00_odom_GT_LC.g2o", 4.0),
+    "MIT": ("pose_graphs/MIT.g2o", 1.0),
+    "sphere2500": ("pose_graphs/sphere2500.g2o", 1.0),
+    "parking-garage": ("pose_graphs/parking-garage.g2o", 2.0),
+    "torus3D": ("pose_graphs/torus3D.g2o", 0.5),
+    "city10000": ("pose_graphs/city10000.g2o", 0.5),
+}
+"""Files below the data folder, and the radius in metres that makes their merged graph."""
+
+SIZES = (1000, 3000, 10_000, 30_000, 100_000, 300_000, 1_000_000)
+LANCZOS_PAIRS = 300
+SOLVERS = ("auto", "poles", "dense", "lanczos")
+
+
+def run(data: Path | None, largest: int, dense_up_to: int, tell: Callable[[str], None]) -> Row:
+    """Measure every graph with every solver that can afford it; what is found, ready for JSON."""
+    if data is not None and not data.is_dir():
+        raise InvalidOptionError(f"expected a folder with the real graphs, got {data}")
+    rows = []
+    for case, n in _cases(data, largest):
+        for solver in SOLVERS:
+            if n <= {"dense": dense_up_to, "lanczos": 10_000}.get(solver, n):
+                row = _measured(case, solver, data)
+                rows.append(row)
+                tell(
+                    f"{case:18s} {solver:8s} {row['n_vertices']:8d} vertices {row['seconds']:9.3f} s "
+                    f"{row['peak_megabytes']:7.0f} MB  ζ error {row['zeta_error']}"
+                )
+    return {"machine": f"{platform.machine()}, {os.cpu_count()} cores", "rows": rows, "growth": growth(rows)}
+
+
+def write(found: Row, path: Path) -> None:
+    """Write the results as JSON."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+
+
+def growth(rows: list[Row]) -> dict[str, float]:
+    """Exponent of each family's time with the poles, from 3000 vertices on: slope in log-log."""
+    found = {}
+    for family in ("chain", "laps"):
+        points = [
+            (row["n_vertices"], row["seconds"])
+            for row in rows
+            if row["case"].startswith(family) and row["solver"] == "poles" and row["n_vertices"] >= 3000
+        ]
+        if len(points) > 1:
+            sizes, seconds = np.log(np.array(points)).T
+            found[family] = float(np.polyfit(sizes, seconds, 1)[0])
+    return found
+
+
+def _cases(data: Path | None, largest: int) -> Iterator[tuple[str, int]]:
+    for n in (size for size in SIZES if size <= largest):
+        yield f"chain-{n}", n
+        if n <= 30_000:
+            yield f"laps-{n}", n
+    yield "random-1000", 1000
+    for name in REAL if data is not None else ():
+        yield name, 5000
+
+
+def _measured(case: str, solver: str, data: Path | None) -> Row:
+    environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+    command = [sys.executable, "-m", "scenarios.speed", case, solver, str(data or "")]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+    found: Row = json.loads(done.stdout)
+    return found
+
+
+def _graphs(case: str, data: Path | None) -> tuple[int, Edges, Edges]:
+    """Number of vertices, edges of the pose graph, edges of the merged graph."""
+    if case in REAL:
+        name, radius = REAL[case]
+        dataset = datasets.read(Path(data or ".") / name)
+        pose_graph = pgti.from_gtsam(dataset.graph, dataset.values, radii=radius)
+        return len(pose_graph), pose_graph.edges, support_graph(pose_graph).merged_edges
+    family, size = case.rsplit("-", 1)
+    n, rng = int(size), np.random.default_rng(0)
+    edges = {"chain": _chain, "laps": _laps, "random": _random}[family](n, rng)
+    first = rng.integers(0, n - 100, size=max(n // 1000, 1))
+    inserted = np.stack([first, first + rng.integers(30, 100, size=len(first))], axis=1)
+    return n, edges, np.unique(np.concatenate([edges, inserted]), axis=0)
+
+
+def _band(n: int, width: int) -> Edges:
+    return np.concatenate([np.stack([np.arange(n - d), np.arange(n - d) + d], axis=1) for d in range(1, width + 1)])
+
+
+def _chain(n: int, rng: np.random.Generator) -> Edges:
+    """Every keyframe sees its ten neighbours on either side."""
+    return _band(n, 10)
+
+
+def _laps(n: int, rng: np.random.Generator) -> Edges:
+    """Five laps with twenty neighbours, each keyframe tied to the one a lap later."""
+    lap = n // 5
+    return np.concatenate([_band(n, 20), np.stack([np.arange(n - lap), np.arange(n - lap) + lap], axis=1)])
+
+
+def _random(n: int, rng: np.random.Generator) -> Edges:
+    """Uniformly random pairs, mean degree ten, on a path: no geometry to exploit."""
+    pairs = np.sort(rng.integers(0, n, size=(4 * n, 2)), axis=1)
+    return np.unique(np.concatenate([_band(n, 1), pairs[pairs[:, 0] != pairs[:, 1]]]), axis=0)
+
+
+def _child(case: str, solver: str, data: Path | None) -> Row:
+    n, edges, merged = _graphs(case, data)
+    before, start = _peak_megabytes(), time.process_time()
+    zeta = _lanczos_zeta(n, edges, merged) if solver == "lanczos" else _zeta(n, edges, merged, solver)
+    seconds, peak = time.process_time() - start, _peak_megabytes() - before
+    exact = None if n > 5000 or solver == "dense" else _zeta(n, edges, merged, "dense")
+    return {
+        "case": case,
+        "solver": solver,
+        "n_vertices": n,
+        "n_edges": len(merged),
+        "seconds": seconds,
+        "peak_megabytes": peak,
+        "zeta_error": None if exact is None else float(np.abs(zeta - exact).max()),
+    }
+
+
+def _zeta(n: int, edges: Edges, merged: Edges, method: Any) -> NDArray[np.float64]:
+    """ζ of every vertex (Eq. 17), and the diagonals that the stable score takes."""
+    kernel_p, kernel_m = heat_kernels(n, edges, merged, method=method)
+    times = time_grid(kernel_m, 100)
+    zeta = relative_distortion(kernel_p.signatures(times), kernel_m.signatures(times), 2)
+    kernel_p.diagonals(STABLE_TIMES), kernel_m.diagonals(STABLE_TIMES)
+    return zeta
+
+
+def _lanczos_zeta(n: int, edges: Edges, merged: Edges) -> NDArray[np.float64]:
+    """ζ from the lowest eigenpairs only, as section 6.4 of the paper suggests."""
+    matrices = [laplacian(n, graph) for graph in (edges, merged)]
+    spectra = [eigsh(matrix, k=min(LANCZOS_PAIRS, n - 2), sigma=-1e-6, which="LM") for matrix in matrices]
+    largest = float(eigsh(matrices[1], k=1, which="LA", return_eigenvectors=False)[0])
+    span = 4 * np.log(10)
+    times = np.geomspace(span / largest, span / np.sort(spectra[1][0])[1], 100)
+    signatures = []
+    for values, vectors in spectra:
+        order = np.argsort(values)[1:]
+        decay = np.exp(-np.outer(values[order], times))
+        signatures.append(vectors[:, order] ** 2 @ decay / decay.sum(axis=0))
+    return relative_distortion(signatures[0], signatures[1], 2)
+
+
+def _peak_megabytes() -> float:
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+
+
+if __name__ == "__main__":
+    print(json.dumps(_child(sys.argv[1], sys.argv[2], Path(sys.argv[3]) if sys.argv[3] else None)))
