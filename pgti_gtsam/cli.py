@@ -15,6 +15,7 @@ from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeEl
 from pgti_gtsam import datasets
 from pgti_gtsam.adapter import EDGE_SOURCES, MIN_SHARED_LANDMARKS, from_gtsam
 from pgti_gtsam.adapter.values import read_keyframes
+from pgti_gtsam.dense_map import radii_from_cloud
 from pgti_gtsam.errors import InvalidOptionError, PgtiError
 from pgti_gtsam.integrity import assess
 from pgti_gtsam.pose_graph import PoseGraph
@@ -129,7 +130,7 @@ def _audit(
         if radius is not None:
             raise InvalidOptionError("expected --radius or --cloud, got both")
         keyframes = read_keyframes(dataset.values)
-        distances = scene.radii_from_cloud(keyframes.positions, cloud)
+        distances = radii_from_cloud(keyframes.positions, cloud)
         radii = dict(zip(keyframes.keys.tolist(), distances.tolist(), strict=True))
     pose_graph: PoseGraph = from_gtsam(
         dataset.graph,

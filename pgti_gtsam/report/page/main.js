@@ -42,8 +42,16 @@ async function drawAll() {
   await show(state.keyframe);
 }
 
-/** plotly's events carry the points hit; `keyframeOf` says which keyframe a point stands for. */
-const onPlotClick = (id, keyframeOf) => byId(id).on("plotly_click", ({ points }) => choose(keyframeOf(points[0])));
+/**
+ * plotly's events carry the points hit; `keyframeOf` says which keyframe a point stands for. In space plotly reports the
+ * click at every drawing until the button is up: a click on what is shown already must draw nothing.
+ */
+function onPlotClick(id, keyframeOf) {
+  byId(id).on("plotly_click", ({ points }) => {
+    const keyframe = keyframeOf(points[0]);
+    if (keyframe !== state.keyframe) setTimeout(choose, 0, keyframe);
+  });
+}
 
 function listen() {
   const step = (by) => choose((state.keyframe + by + keyframes.n) % keyframes.n);

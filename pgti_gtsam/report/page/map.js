@@ -162,6 +162,7 @@ const fitMarkers = (() => {
 
 /** The keyframe under a click: edges and spheres answer for the keyframe at the vertex that was hit. */
 function clickedKeyframe({ curveNumber, pointNumber }) {
+  if (curveNumber === layers.chosen) return state.keyframe;
   if (curveNumber === layers.spheres) return sphereKeyframes[Math.floor(pointNumber / ballSize)];
   const edges = { [layers.poseGraph]: audit.edges.pose_graph, [layers.inserted]: audit.edges.inserted }[curveNumber];
   return edges ? edges[Math.floor(pointNumber / 3)][pointNumber % 3] : pointNumber;

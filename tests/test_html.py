@@ -1,0 +1,207 @@
+"""The page: it draws any audit without the network, and no text of the document becomes markup."""
+
+from __future__ import annotations
+
+import functools
+import json
+import re
+import shutil
+import subprocess
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+import pgti_gtsam as pgti
+from pgti_gtsam.errors import InvalidValueError
+from pgti_gtsam.report import html
+from pgti_gtsam.report.document import audit_document
+from pgti_gtsam.report.html import page, write_page
+
+HOSTILE = (
+    "</script><script>document.body.dataset.pwned = 1</script><img src=x onerror=document.body.dataset.pwned=1>\u2028"
+)
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+OFFLINE = [
+    "--headless",
+    "--no-sandbox",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--host-resolver-rules=MAP * ~NOTFOUND",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--window-size=1400,1000",
+    "--virtual-time-budget=20000",
+]
+
+needs_chromium = pytest.mark.skipif(CHROMIUM is None, reason="needs a browser: Debian package chromium")
+
+
+def audit(positions, edges, radius, name="map"):
+    """The document of a map; its lists are copied, so that a test may change them."""
+    radii = np.full(len(positions), float(radius))
+    pose_graph = pgti.PoseGraph(
+        keys=np.arange(len(positions)), positions=np.asarray(positions, dtype=float), edges=edges, radii=radii
+    )
+    document = audit_document(pose_graph, pgti.assess(pose_graph), name=name, file_format="fabricated")
+    return json.loads(json.dumps(document))
+
+
+def two_laps(n=40):
+    """Two laps of a figure of eight that nothing connects: the second is seen beside the first."""
+    s = np.linspace(0, 4 * np.pi, n)
+    positions = np.c_[20 * np.sin(s), 10 * np.sin(2 * s), 0.02 * s]
+    return audit(positions, [(i, i + 1) for i in range(n - 1)], 1.0)
+
+
+def planar():
+    return audit([[0, 0, 0], [1, 0, 0], [2, 0, 0], [2, 1, 0], [1, 1, 0]], [(0, 1), (1, 2), (2, 3), (3, 4)], 0.51)
+
+
+def isolated():
+    """Keyframe 2 has no edge, but its sphere touches two others: an infinite score."""
+    return audit([[0, 0, 0], [1, 0, 0], [2, 0, 1], [3, 0, 0]], [(0, 1), (1, 3)], 1.0)
+
+
+def hostile():
+    """Every text that a file can bring in is an attack."""
+    document = two_laps()
+    document["input"] = {"name": HOSTILE, "format": HOSTILE, "notes": [HOSTILE]}
+    document["keyframes"]["label"] = [HOSTILE] * len(document["keyframes"]["label"])
+    document["summary"]["verdict"] = {"level": "broken", "text": HOSTILE}
+    document["options"] = {HOSTILE: HOSTILE}
+    counts = {HOSTILE: 1}
+    document["adaptation"] = {
+        "used": counts, "ignored": counts, "unknown": counts, "edges": counts, "empty_slots": 1, "n_landmarks": 1,
+        "n_observations": 1, "keyframes_without_radius": 1, "max_shared_landmarks": None,
+    }  # fmt: skip
+    for place in document["places"]:
+        place["label"] = HOSTILE
+    return document
+
+
+MAPS = {
+    "two laps": two_laps,
+    "planar": planar,
+    "isolated keyframe": isolated,
+    "one keyframe": lambda: audit([[0, 0, 0]], [], 1.0),
+    "no edge": lambda: audit([[0, 0, 0], [9, 9, 9]], [], 0.0),
+    "coincident keyframes": lambda: audit([[1, 2, 3]] * 3, [(0, 1), (1, 2)], 0.5),
+    "hostile texts": hostile,
+}
+
+
+@pytest.fixture(scope="module")
+def dom_of(tmp_path_factory):
+    """From a map's name to its DOM, opened once."""
+    return functools.cache(lambda name: opened(MAPS[name](), tmp_path_factory.mktemp("page")))
+
+
+def opened(document, folder, fragment=""):
+    """The page's DOM after its scripts have run in a browser that reaches nothing."""
+    write_page(document, folder / "page.html")
+    address = (folder / "page.html").as_uri() + fragment
+    command = [CHROMIUM, *OFFLINE, f"--user-data-dir={folder / 'profile'}", "--dump-dom", address]
+    return subprocess.run(command, capture_output=True, text=True, timeout=180, check=True).stdout
+
+
+class References(HTMLParser):
+    """Addresses that elements load, without links that only a click follows; and the scripts' types."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.found, self.scripts = [], []
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        self.found += [value for name, value in attrs if name in ("src", "data", "srcset", "action") or
+                       (name == "href" and tag != "a")]  # fmt: skip
+        if tag == "script":
+            self.scripts.append(dict(attrs).get("type"))
+
+
+@needs_chromium
+@pytest.mark.parametrize("name", MAPS)
+def test_every_map_is_drawn_offline_without_an_error(name, dom_of):
+    body = re.search(r"<body[^>]*>", dom_of(name)).group()
+    assert 'data-ready="true"' in body
+    assert "data-errors" not in body  # uncaught errors, missing WebGL, and whatever the policy had to block
+    assert "data-pwned" not in body
+
+
+@needs_chromium
+def test_hostile_text_stays_text(dom_of):
+    dom = dom_of("hostile texts")
+    shown = "&lt;/script&gt;&lt;script&gt;document.body.dataset.pwned = 1&lt;/script&gt;"
+    assert f'<h1 id="name">{shown}' in dom
+    assert "<img" not in dom
+    assert len(References(dom).scripts) == 3
+
+
+@needs_chromium
+def test_address_chooses_the_keyframe(tmp_path):
+    document = two_laps()
+    assert document["summary"]["worst"] != 17
+    assert re.search(r'<h2 id="keyframe-title"[^>]*>Keyframe 17<', opened(document, tmp_path, "#keyframe=17"))
+
+
+@needs_chromium
+def test_click_chooses_the_keyframe_that_was_hit(tmp_path, monkeypatch):
+    """On an edge its nearer end, on a sphere its keyframe. plotly repeats a click while it draws: that must end."""
+    document = two_laps()
+    (i, j), (k, _) = document["edges"]["pose_graph"][5], document["edges"]["inserted"][3]
+    hits = [(0, 15, i), (0, 16, j), (1, 9, k), (2, 66 * 30, 30), (3, 7, 7), (4, 0, 7)]
+    clicks = """
+      byId("map").on("plotly_afterplot", () => byId("map").emit("plotly_click", { points: [hit] }));
+      let hit;
+      const chosen = [];
+      for (const [curveNumber, pointNumber] of HITS) {
+        hit = { curveNumber, pointNumber };
+        byId("map").emit("plotly_click", { points: [hit] });
+        await new Promise((resume) => setTimeout(resume, 1000));
+        chosen.push(byId("keyframe-title").textContent);
+      }
+      document.body.dataset.chosen = chosen;
+    """.replace("HITS", json.dumps(hits))
+    asset = html._asset
+    monkeypatch.setattr(html, "_asset", lambda name: asset(name) + clicks * (name == "main.js"))
+    expected = ",".join(f"Keyframe {hit[2]}" for hit in hits)
+    assert f'data-chosen="{expected}"' in opened(document, tmp_path)
+
+
+@needs_chromium
+def test_infinite_scores_are_said_in_words(dom_of):
+    assert isolated()["summary"]["score"] == "infinite"
+    assert '<p class="value">infinite</p>' in dom_of("isolated keyframe")
+
+
+@pytest.mark.parametrize("make", [two_laps, hostile])
+def test_page_refers_to_nothing_outside(make):
+    references = References(page(make()))
+    assert references.found == []
+    assert references.scripts == ["application/json", None, "module"]
+
+
+def test_page_carries_the_document_unchanged():
+    document = hostile()
+    block = re.search(r'<script type="application/json" id="audit">(.*?)</script>', page(document), re.DOTALL).group(1)
+    assert json.loads(block) == document
+    assert not set("<>&\u2028\u2029") & set(block)
+
+
+def test_policy_forbids_all_but_the_two_scripts():
+    policy = re.search(r'http-equiv="Content-Security-Policy" content="([^"]*)"', page(planar())).group(1)
+    assert policy.startswith("default-src 'none'; script-src 'sha256-")
+    assert policy.count("'sha256-") == 2
+    assert "http" not in policy
+    assert "unsafe-eval" not in policy
+
+
+@pytest.mark.parametrize(
+    "change", [{"schema": "other"}, {"schema_version": 2}, {"times": [float("nan")]}, {"times": [float("inf")]}]
+)
+def test_other_documents_are_refused(change):
+    with pytest.raises(InvalidValueError, match="expected"):
+        page(planar() | change)
