@@ -2,16 +2,32 @@
 
 from pgti_gtsam.adapter import from_gtsam
 from pgti_gtsam.errors import PgtiError
+from pgti_gtsam.gate import (
+    ClosureDecision,
+    GatedISAM2,
+    GatedUpdate,
+    GateOptions,
+    GroupDecision,
+    LoopClosureGate,
+    gate_graph,
+)
 from pgti_gtsam.integrity import BetaSplit, Integrity, assess
 from pgti_gtsam.pose_graph import Adaptation, EdgeSource, PoseGraph
 
 __all__ = [
     "Adaptation",
     "BetaSplit",
+    "ClosureDecision",
     "EdgeSource",
+    "GateOptions",
+    "GatedISAM2",
+    "GatedUpdate",
+    "GroupDecision",
     "Integrity",
+    "LoopClosureGate",
     "PgtiError",
     "PoseGraph",
     "assess",
     "from_gtsam",
+    "gate_graph",
 ]

@@ -57,3 +57,11 @@ class InvalidOptionError(PgtiError):
 
 class MissingDependencyError(PgtiError):
     """An optional package or system library is not installed."""
+
+
+class InvalidClosureError(PgtiError):
+    """A closure holds no factor, or one that cannot be tried on the map as it stands."""
+
+
+class UnsolvableGraphError(PgtiError):
+    """A factor graph has no optimum that can be found: it is singular, or its error is not finite."""

@@ -144,7 +144,8 @@ class FactorReader:
                         f"of factor {slot} ({type(factor).__name__}), got another type; "
                         "pass the values that belong to the graph"
                     )
-            mark = _Landmark(len(self._landmarks), _NOWHERE if position is None else position, position is not None)
+            known = position is not None
+            mark = _Landmark(len(self._landmarks), _NOWHERE if position is None else position, known)
             self._landmarks[key] = mark
         return mark
 
@@ -152,8 +153,8 @@ class FactorReader:
         free = next((int(key) for key in self.keyframes.keys if int(key) not in self._tied), None)
         if free is not None:
             raise UnusedValueError(
-                f"expected every pose to appear in a factor, got pose {gtsam.DefaultKeyFormatter(free)} with a value and "
-                "no factor; remove its value or add its factors"
+                f"expected every pose to appear in a factor, got pose {gtsam.DefaultKeyFormatter(free)} "
+                "with a value and no factor; remove its value or add its factors"
             )
 
 

@@ -7,7 +7,7 @@ factorisations; both agree to the tolerance of the latter.
 
 from __future__ import annotations
 
-from typing import Literal, Protocol
+from typing import Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -100,7 +100,8 @@ def _poles_are_faster(n: int, edges: NDArray[np.int64]) -> bool:
 
 def _widest_level(n: int, edges: NDArray[np.int64]) -> int:
     """Most vertices that are equally many hops from the first: some hundreds of a random graph, few of a track."""
-    hops = csgraph.dijkstra(adjacency(n, edges), unweighted=True, indices=0)
+    matrix: Any = adjacency(n, edges)
+    hops = csgraph.dijkstra(matrix, unweighted=True, indices=np.array([0]))[0]
     return int(np.bincount(hops[np.isfinite(hops)].astype(np.int64)).max())
 
 

@@ -139,7 +139,7 @@ function drawMap() {
   };
   const traces = [
     edgeTrace(audit.edges.pose_graph, "pose graph", colors.blue, 2),
-    edgeTrace(audit.edges.inserted, "missing connections", colors.red, 6),
+    edgeTrace(audit.edges.inserted, "missing connections", colors.red, audit.edges.inserted.length > 2000 ? 3 : 6),
     sphereTrace(), keyframeTrace(), chosenTrace(),
   ];
   for (const layer of Object.keys(layerSwitches)) traces[layers[layer]].visible = byId(layerSwitches[layer]).checked;

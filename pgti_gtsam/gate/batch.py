@@ -1,0 +1,159 @@
+"""A whole graph through the gate: the robust alternative to handing everything to the optimiser."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+
+from pgti_gtsam.adapter import from_gtsam
+from pgti_gtsam.errors import InvalidOptionError
+from pgti_gtsam.gate.closure_gate import ClosureDecision, LoopClosureGate
+from pgti_gtsam.gate.past import Past
+from pgti_gtsam.gate.revisits import revisits
+from pgti_gtsam.gate.survey import Radii
+from pgti_gtsam.gate.trial import BETWEEN, joined, optimised
+from pgti_gtsam.pose_graph import PoseGraph, key_label
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class GatedGraph:
+    """A graph with only the closures that passed.
+
+    Attributes
+    ----------
+    graph : gtsam.NonlinearFactorGraph
+        A new graph of the same factors in the same slots; those of rejected closures are empty.
+    values : gtsam.Values
+        Its optimum.
+    decisions : dict of int to ClosureDecision
+        By slot of the closure.
+    """
+
+    graph: gtsam.NonlinearFactorGraph
+    values: gtsam.Values
+    decisions: dict[int, ClosureDecision]
+
+    @property
+    def accepted(self) -> tuple[int, ...]:
+        """Slots of the closures that passed."""
+        return tuple(slot for slot, decision in self.decisions.items() if decision.accepted)
+
+    @property
+    def rejected(self) -> tuple[int, ...]:
+        """Slots of the closures that did not."""
+        return tuple(slot for slot, decision in self.decisions.items() if not decision.accepted)
+
+
+def closure_ends(pose_graph: PoseGraph, graph: gtsam.NonlinearFactorGraph) -> dict[int, tuple[int, int]]:
+    """Slots of the loop closures, with the places of their keyframes in the order of the keys, i < j.
+
+    Closures are between factors on two keyframes that are no neighbours; all else is the map.
+    """
+    far = np.flatnonzero(pose_graph.edges[:, 1] > pose_graph.edges[:, 0] + 1).tolist()
+    ends = {slot: tuple(pose_graph.edges[k].tolist()) for k in far for slot in pose_graph.edge_slots[k]}
+    return {slot: ends[slot] for slot in sorted(ends) if isinstance(graph.at(slot), BETWEEN)}
+
+
+def gate_graph(
+    graph: gtsam.NonlinearFactorGraph,
+    values: gtsam.Values,
+    radii: Radii | None = None,
+    *,
+    gate: LoopClosureGate | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> GatedGraph:
+    """Judge every loop closure of a finished graph. Graph and values stay untouched.
+
+    The map grows again as it once did: each revisit is judged when its last match has come, against the
+    keyframes up to there. Of a drifting map's future nothing follows for a closure, least of all from
+    where second passes happen to lie that have not been tied yet. Values that false closures have bent
+    do no harm: the map starts as what is left without any closure, at its own optimum.
+
+    Parameters
+    ----------
+    graph, values, radii
+        As in `from_gtsam`.
+    gate : LoopClosureGate, optional
+    progress : callable, optional
+        Called with the number of closures judged and of all.
+
+    Raises
+    ------
+    PgtiError
+        Those of `from_gtsam`; `UnsolvableGraphError` where the map without closures has no optimum;
+        `InvalidOptionError` where without them nothing ties some keyframe.
+    """
+    gate = gate or LoopClosureGate()
+    options = gate.options
+    pose_graph = from_gtsam(
+        graph, values, radii=radii, edges=options.edges, min_shared_landmarks=options.min_shared_landmarks
+    )
+    ends = closure_ends(pose_graph, graph)
+    slots = list(ends)
+    alone = _without(graph, slots)
+    _check_tied(alone, pose_graph)
+    closures = [_single(graph.at(slot)) for slot in slots]
+    past = Past.of(alone, optimised(alone, values), pose_graph.keys, radii)
+    judged, best = judge_all(gate, past, closures, list(ends.values()), progress)
+    decisions = dict(zip(slots, judged, strict=True))
+    rejected = [slot for slot, decision in decisions.items() if not decision.accepted]
+    return GatedGraph(graph=_without(graph, rejected), values=best, decisions=decisions)
+
+
+def judge_all(
+    gate: LoopClosureGate,
+    past: Past,
+    closures: Sequence[gtsam.NonlinearFactorGraph],
+    ends: Sequence[tuple[int, int]],
+    progress: Callable[[int, int], None] | None = None,
+) -> tuple[list[ClosureDecision], gtsam.Values]:
+    """Judge all closures of a map as it grows, revisit by revisit; returns decisions and the final optimum.
+
+    Parameters
+    ----------
+    gate, past, closures
+    ends : sequence of (int, int)
+        Earlier and later keyframe of every closure, as places in the order of the keys.
+    progress : callable, optional
+        Called with the number of closures judged and of all.
+    """
+    decisions: dict[int, ClosureDecision] = {}
+    admitted, values, last = gtsam.NonlinearFactorGraph(), gtsam.Values(), 0
+    for revisit in sorted(revisits(ends), key=lambda group: ends[group[0]][1]):
+        last = max(last, *(ends[k][1] for k in revisit))
+        graph, values, radii = past.until(last, values)
+        group = gate.evaluate_group(joined(graph, admitted), values, [closures[k] for k in revisit], radii)
+        decisions |= dict(zip(revisit, group.decisions, strict=True))
+        values = group.values
+        for k in group.accepted:
+            admitted.push_back(closures[revisit[k]])
+        if progress:
+            progress(len(decisions), len(closures))
+    graph, values, _ = past.until(len(past.keys) - 1, values)
+    return [decisions[k] for k in range(len(closures))], optimised(joined(graph, admitted), values)
+
+
+def _without(graph: gtsam.NonlinearFactorGraph, slots: list[int]) -> gtsam.NonlinearFactorGraph:
+    fewer = gtsam.NonlinearFactorGraph(graph)
+    for slot in slots:
+        fewer.remove(slot)
+    return fewer
+
+
+def _check_tied(graph: gtsam.NonlinearFactorGraph, pose_graph: PoseGraph) -> None:
+    tied = set(graph.keyVector())
+    free = next((int(key) for key in pose_graph.keys if int(key) not in tied), None)
+    if free is not None:
+        raise InvalidOptionError(
+            f"expected every keyframe to be tied by more than loop closures, got {key_label(free)}, which only they "
+            "tie; add its odometry, or gate closures one by one with LoopClosureGate"
+        )
+
+
+def _single(factor: gtsam.NonlinearFactor) -> gtsam.NonlinearFactorGraph:
+    closure = gtsam.NonlinearFactorGraph()
+    closure.push_back(factor)
+    return closure

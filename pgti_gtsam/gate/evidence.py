@@ -1,0 +1,255 @@
+"""What a closure changes, in units of free space: none of it asks a covariance.
+
+A spurious closure folds the map: spheres of places that nothing connects come to overlap, and the
+keyframes there see their heat kernel change between pose graph and merged graph. The paper weighs the
+largest change on the map (Λ), which an old defect elsewhere can mask. Here every keyframe is compared
+with itself, before and after, near what the closure changed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pgti_gtsam.errors import NoRadiusError
+from pgti_gtsam.integrity import stable_scores
+from pgti_gtsam.pose_graph import EdgeSource, PoseGraph
+from pgti_gtsam.spectral.heat_kernel import heat_kernels
+from pgti_gtsam.spectral.laplacian import adjacency
+from pgti_gtsam.support_graph import overlapping_spheres
+
+Pairs = NDArray[np.int64]
+
+GATE_TIMES = np.geomspace(0.2, 200.0, 40)
+"""Times of the local score. At 200 the heat of a bare odometry chain has crossed √(2·200) = 20 keyframes to
+either side: as far as a closure's overlaps reach around it, and no farther than they should be blamed."""
+
+REGION = 300
+"""Keyframes around a change on which the local score is computed: at the last of `GATE_TIMES` a chain's heat is
+then seven standard deviations from the border, and four decompositions of that size
+take a few hundredths of a second."""
+
+CHANGED = 150
+"""Changed keyframes at most that the score is asked of, those with most changes first: half of `REGION`, so
+that they keep surroundings. A closure that changes more has folded the map in many places, and shows in each."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Change:
+    """A quantity with and without the closure."""
+
+    before: float
+    after: float
+
+    @property
+    def rise(self) -> float:
+        """After minus before."""
+        return self.after - self.before
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Seconds:
+    """Wall-clock time of one decision, s. What several candidates share counts in each."""
+
+    adaptation: float
+    optimisation: float
+    spectra: float
+
+    @property
+    def total(self) -> float:
+        """All three."""
+        return self.adaptation + self.optimisation + self.spectra
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Evidence:
+    """What one closure changes. Lengths are in units of free space, ρ.
+
+    Attributes
+    ----------
+    unit_m : float
+        ρ, the median of the positive radii, m.
+    local_score : Change
+        Stable score of the keyframe where it rises most, with its key in `worst_key`.
+    worst_key : int or None
+        None where the closure changes neither an edge nor an overlap.
+    strain : Change
+        Largest translation residual of any loop closure at the optimum, in ρ.
+    bending : float
+        Drift that the odometry must have had for the closure to be true, 1 being the worst that the
+        yardstick grants: see `yardstick.bending`.
+    overlaps : Change
+        Number of overlaps that no edge and no path as short as the spheres explains.
+    radius_loss : float
+        Largest share of its radius that a keyframe loses to landmarks which the closure brings near.
+    chi2 : Change
+        Twice the factor graph's error, in the caller's noise models.
+    chi2_dof : int
+        Dimension of the closure's measurements.
+    seconds : Seconds
+    """
+
+    unit_m: float
+    local_score: Change
+    worst_key: int | None
+    strain: Change
+    bending: float
+    overlaps: Change
+    radius_loss: float
+    chi2: Change
+    chi2_dof: int
+    seconds: Seconds
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Contacts:
+    """Which keyframes of a pose graph are connected, and which only touch.
+
+    Attributes
+    ----------
+    connected : (c,) int
+        Codes i · n + j, i < j, of the pose graph's edges and of the overlaps that they explain.
+    merged : (m,) int
+        Codes of those and of all other overlaps.
+    """
+
+    pose_graph: PoseGraph
+    connected: NDArray[np.int64]
+    merged: NDArray[np.int64]
+
+    @property
+    def unexplained(self) -> int:
+        """Number of overlaps that nothing explains."""
+        return len(self.merged) - len(self.connected)
+
+
+def free_space_unit(pose_graph: PoseGraph) -> float:
+    """ρ: the median of the positive radii, m.
+
+    Raises
+    ------
+    NoRadiusError
+        No radius is positive.
+    """
+    positive = pose_graph.radii[pose_graph.radii > 0]
+    if not len(positive):
+        raise NoRadiusError("expected at least one positive radius, got none: nothing says how large free space is")
+    return float(np.median(positive))
+
+
+def contacts(pose_graph: PoseGraph) -> Contacts:
+    """Connected and merged pairs, with explained overlaps among the connected."""
+    n = len(pose_graph)
+    connected = _codes(np.concatenate([pose_graph.edges, explained_overlaps(pose_graph)]), n)
+    free = _codes(overlapping_spheres(pose_graph.positions, pose_graph.radii), n)
+    return Contacts(pose_graph=pose_graph, connected=connected, merged=np.union1d(connected, free))
+
+
+def explained_overlaps(pose_graph: PoseGraph) -> Pairs:
+    """Overlaps that a closure makes a matter of course, (k, 2).
+
+    What holds along the track (`odometry.track_edges`) holds through a closure between a and b: when
+    the way from i along the track to a, across to b, and along the track to j is no longer than
+    r_i + r_j, the spheres of i and j must meet, however the way bends. Lengths are those of the
+    estimate, so that every pair found does overlap.
+    """
+    n = len(pose_graph)
+    steps = np.linalg.norm(np.diff(pose_graph.positions, axis=0), axis=1)
+    i, j = pose_graph.edges.T
+    linked = np.zeros(n - 1, dtype=bool)
+    linked[i[j == i + 1]] = True
+    chain = np.concatenate([[0], np.cumsum(~linked)])
+    travelled = np.concatenate([[0.0], np.cumsum(steps)])
+    bridges = pose_graph.edges[(j > i + 1) & (pose_graph.edge_sources & EdgeSource.BETWEEN > 0)]
+    found = [_across(a, b, travelled, chain, pose_graph) for a, b in bridges.tolist()]
+    return np.concatenate([np.empty((0, 2), dtype=np.int64), *found])
+
+
+def _across(a: int, b: int, travelled: NDArray[np.float64], chain: NDArray[np.int64], graph: PoseGraph) -> Pairs:
+    """Pairs whose way through the bridge from a to b is no longer than the sum of their radii."""
+    radii, gap = graph.radii, float(np.linalg.norm(graph.positions[a] - graph.positions[b]))
+    reach = 2 * radii.max() - gap
+    near_a, near_b = (_within(end, reach, travelled, chain) for end in (a, b))
+    slack_a, slack_b = (
+        radii[near] - np.abs(travelled[near] - travelled[end]) for near, end in ((near_a, a), (near_b, b))
+    )
+    p, q = np.nonzero(slack_a[:, None] + slack_b[None, :] >= gap)
+    i, j = near_a[p], near_b[q]
+    pairs: Pairs = np.stack([i, j], axis=1)[i != j]
+    return pairs
+
+
+def _within(end: int, reach: float, travelled: NDArray[np.float64], chain: NDArray[np.int64]) -> NDArray[np.int64]:
+    first, last = np.searchsorted(travelled, [travelled[end] - reach, travelled[end] + reach], side="left")
+    near = np.arange(first, min(last + 1, len(travelled)))
+    own: NDArray[np.int64] = near[chain[near] == chain[end]]
+    return own
+
+
+def local_rise(before: Contacts, after: Contacts) -> tuple[Change, int | None]:
+    """Stable score of the keyframe whose score rises most, and its index.
+
+    Only what lies near a changed edge or overlap can change, so the score is computed on the `REGION`
+    keyframes nearest to the changes, in hops: the cost does not grow with the map.
+
+    Parameters
+    ----------
+    before, after : Contacts
+        Of the same keyframes.
+
+    Returns
+    -------
+    change : Change
+        Zero to zero where nothing changed.
+    index : int or None
+        None where nothing changed.
+    """
+    n = len(before.pose_graph)
+    changed = _changed(before, after, n)
+    if not len(changed):
+        return Change(before=0.0, after=0.0), None
+    region = _region(changed, _pairs(np.union1d(before.merged, after.merged), n), n)
+    place = np.full(n, -1)
+    place[region] = np.arange(len(region))
+    graphs = [_inside(place, _pairs(c, n)) for s in (before, after) for c in (s.connected, s.merged)]
+    p0, m0, p1, m1 = heat_kernels(len(region), *graphs)
+    old, new = stable_scores(p0, m0, GATE_TIMES), stable_scores(p1, m1, GATE_TIMES)
+    rises = (new - old)[place[changed]]
+    worst = int(changed[np.argmax(rises)])
+    return Change(before=float(old[place[worst]]), after=float(new[place[worst]])), worst
+
+
+def _changed(before: Contacts, after: Contacts, n: int) -> NDArray[np.int64]:
+    """Keyframes at which an edge or an overlap comes or goes, those with most changes, ascending."""
+    codes = [np.setxor1d(getattr(before, name), getattr(after, name)) for name in ("connected", "merged")]
+    counts = np.bincount(_pairs(np.concatenate(codes), n).ravel(), minlength=n)
+    most = np.argsort(-counts, kind="stable")[: min(CHANGED, int((counts > 0).sum()))]
+    return np.sort(most)
+
+
+def _region(seeds: NDArray[np.int64], edges: Pairs, n: int) -> NDArray[np.int64]:
+    """At most `REGION` vertices nearest to the seeds in hops, ascending, all of a ring or the first of it."""
+    neighbours = adjacency(n, edges)
+    inside = np.zeros(n, dtype=bool)
+    inside[seeds] = True
+    ring = seeds
+    while len(ring) and inside.sum() < REGION:
+        reached = np.unique(neighbours[:, ring].indices).astype(np.int64)
+        ring = reached[~inside[reached]][: REGION - int(inside.sum())]
+        inside[ring] = True
+    return np.flatnonzero(inside)
+
+
+def _inside(place: NDArray[np.int64], edges: Pairs) -> Pairs:
+    moved = place[edges]
+    return np.asarray(moved[(moved >= 0).all(axis=1)])
+
+
+def _codes(pairs: Pairs, n: int) -> NDArray[np.int64]:
+    return np.unique(pairs.min(axis=1, initial=n) * n + pairs.max(axis=1, initial=0))
+
+
+def _pairs(codes: NDArray[np.int64], n: int) -> Pairs:
+    return np.stack([codes // n, codes % n], axis=1)

@@ -1,0 +1,170 @@
+"""The map as an elastic body in units of free space: how far must it bend for a closure to hold?
+
+Covariances are often wrong, by a factor or in kind, and χ² with them. The yardstick does without: it
+gives every edge of the pose graph the tolerance that a poor odometer of any make would still keep, in
+units of the free radius ρ, and asks what part of it a closure uses up. Lengths are divided by ρ, so one
+number serves rooms and streets, and no noise model of the caller's enters.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from pgti_gtsam.adapter.values import read_keyframes, typed_value
+from pgti_gtsam.gate.evidence import free_space_unit
+from pgti_gtsam.gate.trial import BETWEEN, factors_of, keys_of, optimised
+from pgti_gtsam.pose_graph import EdgeSource, PoseGraph
+
+DRIFT = 0.03
+"""Tolerance of the odometry, as a standard deviation: a random walk of 3 % of ρ, and of 0.03 rad (1.7°), for every
+ρ travelled or radian turned. With ρ = 4 m that is 12 cm and 1.7° for four metres of road, with ρ = 0.75 m it is
+2 cm and 1.7° for a step indoors: worse than what visual or wheel odometry is trusted with."""
+
+OFFSET = 0.25
+"""Tolerance of a closure, in ρ and in rad: its relative pose may be off by a quarter of the free radius. Half of
+what the gate grants as strain, since a residual shows only in part where the odometry gives way too."""
+
+AGREEMENT = 0.5
+"""How far apart two closures may put a place and still say the same, in ρ: twice the tolerance of one."""
+
+SHORTEST = 0.05
+"""Least length of a step, in ρ: a standing robot drifts a little too, and its tolerance must not be zero."""
+
+MAX_ITERATIONS = 8
+"""Steps of the elastic optimum. One that bends within tolerance has settled by then."""
+
+PRECISION = 0.01
+"""Relative change of the elastic energy at which to stop: half a percent of the bending."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Yardstick:
+    """A map at rest: every edge measures what the estimate has, so that nothing is bent yet.
+
+    Attributes
+    ----------
+    unit_m : float
+        ρ.
+    edges : gtsam.NonlinearFactorGraph
+        Between factors with the tolerances as noise models.
+    poses : gtsam.Values
+        Keyframes only, each as a Pose2 or Pose3.
+    """
+
+    unit_m: float
+    edges: gtsam.NonlinearFactorGraph
+    poses: gtsam.Values
+
+    def bending(self, closure: gtsam.NonlinearFactorGraph, after: gtsam.Values) -> float:
+        """Bending in units of the tolerance: √(E / d), with E the elastic energy and d the dimension of a pose.
+
+        E = min Σ ‖Log(z_ij⁻¹ T_i⁻¹ T_j)‖² over the map's edges and the closure's between factors. The factors of
+        one closure say one thing, so d counts once. A closure of other factors (sightings of old landmarks) is
+        measured by the map that the caller's optimum leaves instead: the energy of `after` in the edges alone.
+
+        Parameters
+        ----------
+        closure : gtsam.NonlinearFactorGraph
+        after : gtsam.Values
+            The caller's optimum with the closure.
+        """
+        pulls = [self._pull(factor) for factor in factors_of(closure) if isinstance(factor, BETWEEN)]
+        if not pulls:
+            return self._root_energy(self.edges, poses_of(after))
+        graph = gtsam.NonlinearFactorGraph()
+        graph.push_back(self.edges)
+        for pull in pulls:
+            graph.push_back(pull)
+        return self._root_energy(
+            graph, optimised(graph, self.poses, max_iterations=MAX_ITERATIONS, tolerance=PRECISION)
+        )
+
+    def votes(self, closures: Sequence[gtsam.NonlinearFactorGraph]) -> NDArray[np.int64]:
+        """How many of some closures each agrees with, itself included, (k,).
+
+        A closure from a to b moves the map at b by T_a z T_b⁻¹. Two agree when these motions put the ends b of
+        both to the same places, give or take `AGREEMENT`. One without a between factor has no vote.
+        """
+        factors = [next((f for f in factors_of(closure) if isinstance(f, BETWEEN)), None) for closure in closures]
+        voters = [k for k, factor in enumerate(factors) if factor is not None]
+        ends = [self._ends(factors[k]) for k in voters]
+        centres = np.array([end.translation() for _, end in ends])
+        motions = [predicted * end.inverse() for predicted, end in ends]
+        count = np.zeros(len(closures), dtype=np.int64)
+        if voters:
+            moved = np.array([[motion.transformFrom(centre) for centre in centres] for motion in motions])
+            own = np.array([predicted.translation() for predicted, _ in ends])  # motion k at end k
+            miss = np.linalg.norm(moved - own[None, :], axis=2)
+            count[voters] = (np.maximum(miss, miss.T) <= AGREEMENT * self.unit_m).sum(axis=1)
+        return count
+
+    def _ends(self, factor: Any) -> tuple[Any, Any]:
+        """Where a between factor predicts its second pose, and where the map has it."""
+        first, second = (pose_at(self.poses, key) for key in keys_of(factor))
+        return first * factor.measured(), second
+
+    def _root_energy(self, graph: gtsam.NonlinearFactorGraph, poses: gtsam.Values) -> float:
+        dimension = next(iter(self.poses.dims().values()))
+        return float(np.sqrt(2 * graph.error(poses) / dimension))
+
+    def _pull(self, factor: Any) -> Any:
+        return _between(keys_of(factor), factor.measured(), OFFSET, self.unit_m)
+
+
+def yardstick(pose_graph: PoseGraph, values: gtsam.Values) -> Yardstick:
+    """The yardstick of a map as it stands.
+
+    Neighbours in the order of the keys that an edge connects are odometry; other pairs that a factor
+    ties are closures already accepted.
+    """
+    unit, poses = free_space_unit(pose_graph), poses_of(values)
+    edges = gtsam.NonlinearFactorGraph()
+    for (i, j), source in zip(pose_graph.edges.tolist(), pose_graph.edge_sources.tolist(), strict=True):
+        first, second = int(pose_graph.keys[i]), int(pose_graph.keys[j])
+        if j == i + 1:
+            step = _relative(poses, first, second)
+            edges.push_back(_between([first, second], step, DRIFT * np.sqrt(_length(step, unit)), unit))
+        elif source & EdgeSource.BETWEEN:
+            edges.push_back(_between([first, second], _relative(poses, first, second), OFFSET, unit))
+    return Yardstick(unit_m=unit, edges=edges, poses=poses)
+
+
+def poses_of(values: gtsam.Values) -> gtsam.Values:
+    """Keyframes only, those of other types as the Pose2 or Pose3 they hold."""
+    keyframes = read_keyframes(values)
+    poses = gtsam.Values(gtsam.utilities.allPose3s(values))
+    poses.insert(gtsam.utilities.allPose2s(values))
+    for key, pose in keyframes.poses.items():
+        poses.insert(key, pose)
+    return poses
+
+
+def _relative(poses: gtsam.Values, first: int, second: int) -> Any:
+    return pose_at(poses, first).between(pose_at(poses, second))
+
+
+def pose_at(poses: gtsam.Values, key: int) -> Any:
+    """The Pose2 or Pose3 of a key."""
+    return typed_value(poses, "Pose2", key) or poses.atPose3(key)
+
+
+def _length(step: Any, unit: float) -> float:
+    """Length of a step in ρ or radians, whichever is more."""
+    turn = abs(step.theta()) if isinstance(step, gtsam.Pose2) else np.linalg.norm(gtsam.Rot3.Logmap(step.rotation()))
+    return max(float(np.linalg.norm(step.translation())) / unit, float(turn), SHORTEST)
+
+
+def _between(keys: Sequence[int], measured: Any, tolerance: float, unit: float) -> Any:
+    """Between factor with a tolerance in ρ and rad."""
+    first, second = keys
+    if isinstance(measured, gtsam.Pose2):
+        model = gtsam.noiseModel.Diagonal.Sigmas(tolerance * np.array([unit, unit, 1.0]))
+        return gtsam.BetweenFactorPose2(first, second, measured, model)
+    model = gtsam.noiseModel.Diagonal.Sigmas(tolerance * np.array([1.0, 1.0, 1.0, unit, unit, unit]))
+    return gtsam.BetweenFactorPose3(first, second, measured, model)

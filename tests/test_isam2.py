@@ -1,0 +1,279 @@
+"""A gated iSAM2 is iSAM2 of exactly what was admitted, whatever came, went or failed in between."""
+
+import gtsam
+import numpy as np
+import pytest
+from hypothesis import settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
+from streets import RADIUS, between, block, driven, straight
+
+from pgti_gtsam.errors import (
+    InvalidClosureError,
+    InvalidOptionError,
+    MissingValueError,
+    PgtiError,
+    UnsolvableGraphError,
+)
+from pgti_gtsam.gate.closure_gate import LoopClosureGate
+from pgti_gtsam.gate.isam2 import GatedISAM2
+
+LAP = 4 * 12  # steps around a block of 20 m
+NOWHERE = gtsam.Pose2()
+ORIGIN = gtsam.noiseModel.Isotropic.Sigma(3, 1e-3)
+
+
+def eager():
+    """A smoother that relinearises all it can, so that its estimate can be compared with an optimum."""
+    parameters = gtsam.ISAM2Params()
+    parameters.setRelinearizeThreshold(1e-9)
+    parameters.relinearizeSkip = 1
+    parameters.setOptimizationParams(gtsam.ISAM2GaussNewtonParams(0.0))
+    return gtsam.ISAM2(parameters)
+
+
+def started(world, smoother=None, radii=RADIUS):
+    isam = GatedISAM2(eager() if smoother is None else smoother, radii=radii)
+    factors, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    factors.push_back(gtsam.PriorFactorPose2(0, world.truth[0], ORIGIN))
+    values.insert(0, world.truth[0])
+    isam.update(factors, values)
+    return isam
+
+
+def step(world, k):
+    """Factors and values that bring keyframe k."""
+    factors, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    factors.push_back(world.graph.at(k - 1))
+    values.insert(k, world.values.atPose2(k))
+    return factors, values
+
+
+def driven_to(world, last, **options):
+    isam = started(world, **options)
+    for k in range(1, last + 1):
+        isam.update(*step(world, k))
+    return isam
+
+
+@pytest.fixture(scope="module")
+def world():
+    return driven(block(20, times=2) + straight(10), bias=0.002, noise=0.005)
+
+
+def state(isam):
+    return isam.smoother.getFactorsUnsafe().serialize(), isam.estimate().serialize(), dict(isam.admitted)
+
+
+def test_a_rejected_closure_leaves_the_smoother_bit_for_bit(world):
+    offered, never = driven_to(world, LAP + 6), driven_to(world, LAP + 6)
+    update = offered.update(*step(world, LAP + 7), [world.closure(4, 30, NOWHERE)])
+    never.update(*step(world, LAP + 7))
+    assert not update.decisions[0].accepted
+    assert (update.accepted, update.slots) == ((), ((),))
+    for k in range(LAP + 8, LAP + 12):
+        for isam in (offered, never):
+            isam.update(*step(world, k))
+    assert state(offered) == state(never)
+
+
+def test_an_admitted_closure_is_in_its_slots(world):
+    isam = driven_to(world, LAP + 6)
+    closures = [world.closure(4, 30, NOWHERE), world.closure(5, LAP + 5), world.closure(6, LAP + 6)]
+    update = isam.update(*step(world, LAP + 7), closures)
+    assert update.closures == (0, 1, 2)
+    assert update.accepted == (1, 2)
+    graph = isam.smoother.getFactorsUnsafe()
+    assert graph.at(update.factor_slots[0]).equals(world.graph.at(LAP + 6), 0.0)
+    for number in (1, 2):
+        (slot,) = isam.admitted[number]
+        assert graph.at(slot).equals(closures[number].at(0), 0.0)
+
+
+def test_a_retracted_closure_leaves_no_trace(world):
+    isam, never = driven_to(world, LAP + 6), driven_to(world, LAP + 6)
+    isam.update(closures=[world.closure(5, LAP + 5)])
+    isam.retract(0)
+    for _ in range(5):
+        isam.smoother.update()
+        never.smoother.update()
+    assert isam.admitted == {}
+    assert isam.estimate().equals(never.estimate(), 1e-9)
+
+
+def test_around_a_smoother_of_the_callers(world):
+    smoother = gtsam.ISAM2()
+    factors, values = gtsam.NonlinearFactorGraph(world.graph), gtsam.Values(world.values)
+    factors.push_back(gtsam.PriorFactorPose2(0, world.truth[0], ORIGIN))
+    smoother.update(factors, values)
+    isam = GatedISAM2(smoother, gate=LoopClosureGate(), radii=RADIUS)
+    assert isam.update(closures=[world.closure(5, LAP + 5)]).accepted == (0,)
+    assert isam.smoother is smoother
+    assert smoother.getFactorsUnsafe().at(isam.admitted[0][0]).keys() == [5, LAP + 5]
+
+
+def test_radii_come_with_their_keyframes(world):
+    isam = started(world, radii={0: RADIUS})
+    for k in range(1, LAP + 7):
+        isam.update(*step(world, k), radii={k: RADIUS})
+    assert isam.update(closures=[world.closure(5, LAP + 5)]).accepted == (0,)
+    with pytest.raises(InvalidOptionError, match="all have"):
+        started(world).update(radii={0: 1.0})
+
+
+def test_a_review_turns_a_revisit_over_when_the_larger_party_came_later(world):
+    isam = driven_to(world, LAP + 10)
+    wrong = [world.closure(k, k + LAP, gtsam.Pose2(4.5, 0.0, 0.0)) for k in (1, 2)]
+    right = [world.closure(k, k + LAP) for k in (3, 4, 5, 6)]
+    for closure in (*wrong, *right):
+        isam.update(closures=[closure])
+    assert set(isam.admitted) == {0, 1}  # within drift, and first
+    assert isam.review([]).decisions == {}
+    review = isam.review([5])
+    assert (review.condemned, review.redeemed) == ((0, 1), (2, 3, 4, 5))
+    isam.revise(review)
+    assert set(isam.admitted) == {2, 3, 4, 5}
+    again = isam.review()
+    assert (again.condemned, again.redeemed) == ((), ())
+    with pytest.raises(InvalidClosureError):
+        isam.revise(review)
+
+
+def test_a_review_afresh_agrees_where_nothing_is_wrong(world):
+    isam = driven_to(world, LAP + 10)
+    isam.update(closures=[world.closure(4, 30, NOWHERE), *(world.closure(k, k + LAP) for k in (3, 4, 5))])
+    assert set(isam.admitted) == {1, 2, 3}
+    before = state(isam)
+    review = isam.review_afresh()
+    assert set(review.decisions) == {0, 1, 2, 3}
+    assert (review.condemned, review.redeemed) == ((), ())
+    assert state(isam) == before
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error"),
+    [
+        (lambda w: (None, None, [gtsam.NonlinearFactorGraph()]), InvalidClosureError),
+        (lambda w: (None, None, [w.closure(3, 97)]), InvalidClosureError),
+        (lambda w: (None, None, [w.closure(3, 30, gtsam.Pose2(np.nan, 0, 0))]), InvalidClosureError),
+        (lambda w: (*step(w, 5), []), UnsolvableGraphError),
+        (lambda w: (*step(w, 5), [w.closure(3, 30)]), InvalidOptionError),
+        (lambda w: (step(w, 90)[0], None, []), UnsolvableGraphError),
+        (lambda w: (step(w, 90)[0], None, [w.closure(3, 30)]), MissingValueError),
+    ],
+)
+def test_an_error_leaves_everything_as_before(world, arguments, error):
+    isam = driven_to(world, LAP + 6)
+    isam.update(closures=[world.closure(5, LAP + 5)])
+    before = state(isam)
+    with pytest.raises(error):
+        isam.update(*arguments(world))
+    assert state(isam) == before
+
+
+def test_what_cannot_be_retracted(world):
+    isam = driven_to(world, LAP + 6)
+    isam.update(closures=[world.closure(4, 30, NOWHERE)])
+    for number, why in ((0, "which is not"), (7, "one of 1"), (-1, "one of 1")):
+        with pytest.raises(InvalidClosureError, match=why):
+            isam.retract(number)
+
+
+def test_a_slot_that_the_caller_reused_is_not_retracted(world):
+    isam = driven_to(world, LAP + 6)
+    isam.update(closures=[world.closure(5, LAP + 5)])
+    isam.smoother.update(gtsam.NonlinearFactorGraph(), gtsam.Values(), list(isam.admitted[0]))
+    with pytest.raises(InvalidClosureError, match="changed from outside"):
+        isam.retract(0)
+
+
+class GatedSmoother(RuleBasedStateMachine):
+    """Drives around a block, offering closures true and false, retracting some, and failing in between."""
+
+    @initialize(seed=st.integers(0, 3))
+    def start(self, seed):
+        self.world = driven(block(20, times=2), bias=0.002, noise=0.005, seed=seed)
+        self.isam = driven_to(self.world, LAP)
+        self.last = LAP
+        self.closures = []
+
+    @precondition(lambda self: self.last < 2 * LAP - 2)
+    @rule(data=st.data())
+    def drive(self, data):
+        closures = []
+        if data.draw(st.booleans()):
+            closures.append(self.world.closure(self.last + 1 - LAP, self.last + 1))
+        if data.draw(st.booleans()):
+            closures.append(self.world.closure(data.draw(st.integers(0, 9)), data.draw(st.integers(20, 30)), NOWHERE))
+        self.offer(step(self.world, self.last + 1), closures)
+        self.last += 1
+
+    @rule(back=st.integers(0, 5), copies=st.integers(1, 2))
+    def close(self, back, copies):
+        self.offer((None, None), [self.world.closure(self.last - back - LAP + 5, self.last - back)] * copies)
+
+    def offer(self, new, closures):
+        update = self.isam.update(*new, closures)
+        self.closures += closures
+        assert [bool(slots) for slots in update.slots] == [d.accepted for d in update.decisions]
+
+    @precondition(lambda self: self.isam.admitted)
+    @rule(data=st.data())
+    def retract(self, data):
+        number = data.draw(st.sampled_from(sorted(self.isam.admitted)))
+        self.isam.retract(number)
+        assert number not in self.isam.admitted
+
+    @rule(kind=st.sampled_from(["unknown", "empty", "nan", "again", "loose", "retract"]))
+    def fail(self, kind):
+        before = state(self.isam)
+        bad = {
+            "unknown": lambda: self.isam.update(closures=[self.world.closure(3, 9), self.unknown()]),
+            "empty": lambda: self.isam.update(closures=[gtsam.NonlinearFactorGraph()]),
+            "nan": lambda: self.isam.update(closures=[self.world.closure(3, 20, gtsam.Pose2(np.nan, 0, 0))]),
+            "again": lambda: self.isam.update(*step(self.world, 3)),
+            "loose": lambda: self.isam.update(step(self.world, 2 * LAP)[0]),
+            "retract": lambda: self.isam.retract(len(self.closures)),
+        }
+        with pytest.raises(PgtiError):
+            bad[kind]()
+        assert state(self.isam) == before
+
+    def unknown(self):
+        closure = gtsam.NonlinearFactorGraph()
+        closure.push_back(between(3, 4711, NOWHERE))
+        return closure
+
+    @invariant()
+    def slots_hold_the_admitted_closures(self):
+        if not hasattr(self, "isam"):
+            return
+        graph = self.isam.smoother.getFactorsUnsafe()
+        for number, (slot,) in self.isam.admitted.items():
+            assert graph.at(slot).equals(self.closures[number].at(0), 0.0)
+        filled = sum(graph.at(slot) is not None for slot in range(graph.size()))
+        assert filled == 1 + self.last + len(self.isam.admitted)
+
+    @invariant()
+    def estimate_is_the_optimum_of_what_is_in(self):
+        if not hasattr(self, "isam"):
+            return
+        graph = gtsam.NonlinearFactorGraph()
+        graph.push_back(gtsam.PriorFactorPose2(0, self.world.truth[0], ORIGIN))
+        for k in range(self.last):
+            graph.push_back(self.world.graph.at(k))
+        for number in self.isam.admitted:
+            graph.push_back(self.closures[number])
+        rehearsal = gtsam.ISAM2(self.isam.smoother)
+        for _ in range(8):
+            rehearsal.update()
+        found = rehearsal.calculateEstimate()
+        parameters = gtsam.LevenbergMarquardtParams()
+        parameters.setRelativeErrorTol(1e-14)
+        parameters.setAbsoluteErrorTol(1e-14)
+        best = gtsam.LevenbergMarquardtOptimizer(graph, found, parameters).optimize()
+        assert found.equals(best, 1e-5)
+
+
+TestGatedSmoother = GatedSmoother.TestCase
+TestGatedSmoother.settings = settings(derandomize=True, deadline=None, max_examples=12, stateful_step_count=12)
