@@ -205,7 +205,7 @@ def assess(
         free_space_edges=support.free_space_edges,
         inserted_edges=support.inserted_edges,
         merged_edges=support.merged_edges,
-        optimality=compare_optimality(pose_graph, support),
+        optimality=compare_optimality(pose_graph, support, (kernel_p, kernel_m)),
         norm=norm,
         beta=beta,
         n_components_pose_graph=kernel_p.n_components,

@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pgti_gtsam.pose_graph import PoseGraph
+from pgti_gtsam.spectral.dense_kernel import DenseHeatKernel
+from pgti_gtsam.spectral.heat_kernel import HeatKernel
 from pgti_gtsam.spectral.laplacian import connected_components, laplacian
 from pgti_gtsam.spectral.spectrum import extreme_eigenvalues, log_pseudo_determinant
 from pgti_gtsam.support_graph import SupportGraph
@@ -88,7 +90,12 @@ class OptimalityComparison:
         return self.unweighted.change
 
 
-def optimality(n_vertices: int, edges: NDArray[np.int64], weights: NDArray[np.float64] | None = None) -> Optimality:
+def optimality(
+    n_vertices: int,
+    edges: NDArray[np.int64],
+    weights: NDArray[np.float64] | None = None,
+    kernel: HeatKernel | None = None,
+) -> Optimality:
     """Criteria of one graph.
 
     Parameters
@@ -97,6 +104,8 @@ def optimality(n_vertices: int, edges: NDArray[np.int64], weights: NDArray[np.fl
     edges : (m, 2) int
     weights : (m, 4) float, optional
         Positive weights of every edge for D, T, E and Ẽ in turn; one everywhere when left out.
+    kernel : HeatKernel, optional
+        Of the graph without weights, whose spectrum need not be found again.
 
     Returns
     -------
@@ -110,14 +119,20 @@ def optimality(n_vertices: int, edges: NDArray[np.int64], weights: NDArray[np.fl
         matrices = [laplacian(n_vertices, edges)] * 4
     else:
         matrices = [laplacian(n_vertices, edges, column) for column in weights.T]
-    connected = count == 1
-    smallest, largest = extreme_eigenvalues(matrices[2], labels)
-    if weights is not None:
-        largest = extreme_eigenvalues(matrices[3], labels)[1]
+    if kernel is not None:
+        smallest, largest = kernel.smallest_positive, kernel.largest
+    else:
+        smallest, largest = extreme_eigenvalues(matrices[2], labels)
+        if weights is not None:
+            largest = extreme_eigenvalues(matrices[3], labels)[1]
+    if isinstance(kernel, DenseHeatKernel):
+        log_determinant = sum(float(np.log(part.eigenvalues).sum()) for part in kernel.components)
+    else:
+        log_determinant = log_pseudo_determinant(matrices[0], labels)
     return Optimality(
-        d=float(np.exp(log_pseudo_determinant(matrices[0], labels) / n_vertices)) if connected else 0.0,
+        d=float(np.exp(log_determinant / n_vertices)) if count == 1 else 0.0,
         t=float(matrices[1].trace() / n_vertices),
-        e=smallest if connected else 0.0,
+        e=smallest if count == 1 else 0.0,
         e_tilde=largest if len(edges) else 0.0,
     )
 
@@ -146,16 +161,25 @@ def information_criteria(information: NDArray[np.float64]) -> NDArray[np.float64
     return criteria
 
 
-def compare_optimality(pose_graph: PoseGraph, support: SupportGraph) -> OptimalityComparison:
-    """Criteria of a pose graph and of its merged graph, unweighted and by information."""
+def compare_optimality(
+    pose_graph: PoseGraph, support: SupportGraph, kernels: tuple[HeatKernel, HeatKernel] | None = None
+) -> OptimalityComparison:
+    """Criteria of a pose graph and of its merged graph, unweighted and by information.
+
+    `kernels` are those of the two graphs, where they are known.
+    """
     n = len(pose_graph)
+    known = kernels or (None, None)
     unweighted = GraphOptimality(
-        pose_graph=optimality(n, pose_graph.edges), merged_graph=optimality(n, support.merged_edges)
+        pose_graph=optimality(n, pose_graph.edges, kernel=known[0]),
+        merged_graph=optimality(n, support.merged_edges, kernel=known[1]),
     )
-    return OptimalityComparison(unweighted=unweighted, weighted=_compare_weighted(pose_graph, support))
+    return OptimalityComparison(unweighted=unweighted, weighted=_compare_weighted(pose_graph, support, unweighted))
 
 
-def _compare_weighted(pose_graph: PoseGraph, support: SupportGraph) -> GraphOptimality | None:
+def _compare_weighted(
+    pose_graph: PoseGraph, support: SupportGraph, unweighted: GraphOptimality
+) -> GraphOptimality | None:
     if pose_graph.edge_information is None:
         return None
     own = information_criteria(pose_graph.edge_information)
@@ -165,6 +189,17 @@ def _compare_weighted(pose_graph: PoseGraph, support: SupportGraph) -> GraphOpti
     typical = np.median(own[known], axis=0)
     own[~known] = typical
     n = len(pose_graph)
+    if (own == typical).all():
+        return GraphOptimality(
+            pose_graph=_scaled(unweighted.pose_graph, typical, n),
+            merged_graph=_scaled(unweighted.merged_graph, typical, n),
+        )
     edges = np.concatenate([pose_graph.edges, support.inserted_edges])
     weights = np.concatenate([own, np.broadcast_to(typical, (len(support.inserted_edges), 4))])
     return GraphOptimality(pose_graph=optimality(n, pose_graph.edges, own), merged_graph=optimality(n, edges, weights))
+
+
+def _scaled(plain: Optimality, weights: NDArray[np.float64], n: int) -> Optimality:
+    """Criteria when all edges weigh the same, which scales all n − 1 positive eigenvalues."""
+    d, t, e, e_tilde = weights.tolist()
+    return Optimality(d=plain.d * d ** ((n - 1) / n), t=plain.t * t, e=plain.e * e, e_tilde=plain.e_tilde * e_tilde)

@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 import pgti_gtsam as pgti
-from pgti_gtsam.optimality import information_criteria, optimality
+from pgti_gtsam.optimality import compare_optimality, information_criteria, optimality
+from pgti_gtsam.support_graph import support_graph
 
 LINE = np.stack([np.arange(4.0), np.zeros(4), np.zeros(4)], axis=1)
 
@@ -57,6 +58,27 @@ def test_equal_information_scales_every_weighted_criterion():
         for which in ("pose_graph", "merged_graph"):
             plain, weighted = (getattr(getattr(part, which), name) for part in (found.unweighted, found.weighted))
             assert weighted == pytest.approx(scale * plain, rel=1e-9)
+
+
+@pytest.mark.parametrize("method", ["dense", "poles"])
+def test_what_the_heat_kernels_know_need_not_be_found_again(method):
+    graph = pgti.PoseGraph(keys=range(4), positions=LINE, edges=[(0, 1), (1, 2), (2, 3)], radii=1.0)
+    found, afresh = pgti.assess(graph, method=method).optimality, compare_optimality(graph, support_graph(graph))
+    for name in ("d", "t", "e", "e_tilde"):
+        for which in ("pose_graph", "merged_graph"):
+            known, expected = (getattr(getattr(part, which), name) for part in (found, afresh))
+            assert known == pytest.approx(expected, rel=1e-9)
+
+
+def test_edges_of_different_information_are_weighted_one_by_one():
+    information = np.stack([np.eye(3), 4 * np.eye(3)])
+    graph = pgti.PoseGraph(
+        keys=range(3), positions=LINE[:3], edges=[(0, 1), (1, 2)], radii=0.1, edge_information=information
+    )
+    found = pgti.assess(graph).optimality.weighted.pose_graph
+    spectrum = np.linalg.eigvalsh([[1, -1, 0], [-1, 5, -4], [0, -4, 4]])[1:]
+    assert found.d == pytest.approx(np.prod(spectrum) ** (1 / 3))
+    assert (found.t, found.e, found.e_tilde) == pytest.approx((spectrum.sum() / 3, spectrum[0], spectrum[1]))
 
 
 def test_inserted_edges_raise_every_criterion_and_change_is_their_difference():
