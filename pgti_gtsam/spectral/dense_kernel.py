@@ -84,7 +84,7 @@ def dense_heat_kernel(n_vertices: int, edges: NDArray[np.int64]) -> DenseHeatKer
     components = []
     for vertices in members:
         block = matrix[vertices][:, vertices].toarray()
-        eigenvalues, vectors = linalg.eigh(block, overwrite_a=True, check_finite=False)
+        eigenvalues, vectors = linalg.eigh(block, driver="evd", overwrite_a=True, check_finite=False)
         components.append(
             _Component(vertices=vertices, eigenvalues=eigenvalues[1:], squared_vectors=vectors[:, 1:] ** 2)
         )

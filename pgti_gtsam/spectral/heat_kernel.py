@@ -27,6 +27,9 @@ ALWAYS_DENSE = 500
 AFFORDABLY_DENSE = 4000
 """Vertices up to which a glance decides: beyond, a dense decomposition would cost more than any look at the fill."""
 
+FULL = 0.1
+"""Share of all pairs from which a graph's factor fills whatever the order: not worth a symbolic factorisation."""
+
 TOLERANCE = 1e-8
 """Error of signatures relative to the largest, where nobody asks for another."""
 
@@ -93,7 +96,9 @@ def heat_kernels(
 
 def _poles_are_faster(n: int, edges: NDArray[np.int64]) -> bool:
     """Estimate both from the graph's fill, which an expander has and a track has not."""
-    if n <= ALWAYS_DENSE or (n <= AFFORDABLY_DENSE and _widest_level(n, edges) > n / 4):
+    if n <= ALWAYS_DENSE or len(edges) > FULL * n**2 / 2:
+        return False
+    if n <= AFFORDABLY_DENSE and _widest_level(n, edges) > n / 4:
         return False
     return _pole_seconds(analyse(n, edges)) < 4.5e-10 * n**3 + 1.5e-7 * n**2
 
