@@ -31,7 +31,7 @@ def speed(
     dense_up_to: Annotated[int, typer.Option(help="Vertices up to which dense decomposition is timed too.")] = 3000,
     out: Annotated[Path, typer.Option(help="Where the JSON goes.")] = RESULTS / "speed.json",
 ) -> None:
-    """Heat kernel of all vertices: poles, dense, Lanczos; time, memory, error, growth. About 10 minutes."""
+    """Heat kernel of all vertices: poles, dense, Lanczos; time, memory, error, growth. Over ten minutes."""
     found = speed_experiment.run(data, largest, dense_up_to, tell=print)
     speed_experiment.write(found, out)
     print(f"results: {out}")
