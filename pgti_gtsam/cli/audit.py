@@ -1,22 +1,20 @@
-"""The command line: parse, call, print. The only place that catches `PgtiError`."""
+"""`pgti-gtsam audit` and `view`: score a map, write it down, show it."""
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 from pgti_gtsam import datasets
-from pgti_gtsam.adapter import EDGE_SOURCES, MIN_SHARED_LANDMARKS, from_gtsam
+from pgti_gtsam.adapter import MIN_SHARED_LANDMARKS, from_gtsam
 from pgti_gtsam.adapter.values import read_keyframes
+from pgti_gtsam.cli.options import Beta, Cloud, Edges, File, MinShared, Radius, Values, check_output, stages
 from pgti_gtsam.dense_map import radii_from_cloud
-from pgti_gtsam.errors import InvalidOptionError, PgtiError
+from pgti_gtsam.errors import InvalidOptionError
 from pgti_gtsam.integrity import assess
 from pgti_gtsam.pose_graph import PoseGraph
 from pgti_gtsam.report import scene
@@ -24,37 +22,7 @@ from pgti_gtsam.report.document import Document, audit_document, write_json
 from pgti_gtsam.report.html import write_page
 from pgti_gtsam.report.terminal import print_summary
 
-app = typer.Typer(add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode=None)
 
-File = Annotated[
-    Path | None,
-    typer.Argument(
-        help="Map: g2o, TORO, GTSAM archive, KITTI stereo, CARMEN or FLIRTLib log. Default: KITTI 00 from GTSAM.",
-        show_default=False,
-    ),
-]
-Values = Annotated[
-    Path | None, typer.Option("--values", help="Archive of the values, where FILE is an archived graph.")
-]
-Radius = Annotated[float | None, typer.Option(help="Free distance around every keyframe, in metres.")]
-Cloud = Annotated[Path | None, typer.Option(help="Point cloud or mesh: radii are the distances to it (needs Open3D).")]
-Edges = Annotated[
-    str | None,
-    typer.Option(
-        help=f"What connects keyframes, from {','.join(EDGE_SOURCES)}. Default: the first two; "
-        "all three where radii do not come from landmarks or no landmarks are shared."
-    ),
-]
-MinShared = Annotated[int, typer.Option(help="Landmarks that two keyframes must share to be connected.")]
-Beta = Annotated[float, typer.Option(help="Share of the time scales that counts as local.")]
-
-
-@app.callback()
-def describe() -> None:
-    """Is this map right, and where not? Pose-graph topological integrity of SLAM maps."""
-
-
-@app.command()
 def audit(
     file: File = None,
     values: Values = None,
@@ -70,8 +38,8 @@ def audit(
     """Score a map, and name the places where its pose graph disagrees with its free space."""
     inputs = [path for path in (file, values, cloud) if path is not None]
     for output in (json, html):
-        _check_output(output, inputs)
-    with _stages(5) as stage:
+        check_output(output, inputs)
+    with stages(5) as stage:
         document = _audit(file, values, radius, cloud, edges, min_shared_landmarks, beta, stage)
         if json is not None:
             stage("writing JSON")
@@ -89,7 +57,6 @@ def audit(
         raise typer.Exit(1)
 
 
-@app.command()
 def view(
     file: File = None,
     values: Values = None,
@@ -101,8 +68,8 @@ def view(
     png: Annotated[Path | None, typer.Option(help="Render to this file instead of opening a window.")] = None,
 ) -> None:
     """Show the scored map in 3D (needs Open3D)."""
-    _check_output(png, [path for path in (file, values, cloud) if path is not None])
-    with _stages(4) as stage:
+    check_output(png, [path for path in (file, values, cloud) if path is not None])
+    with stages(4) as stage:
         document = _audit(file, values, radius, cloud, edges, min_shared_landmarks, beta, stage)
         if png is not None:
             stage("rendering")
@@ -153,36 +120,3 @@ def _audit(
     return audit_document(
         pose_graph, integrity, name=dataset.name, file_format=dataset.format, notes=dataset.notes, options=options
     )
-
-
-def _check_output(output: Path | None, inputs: list[Path]) -> None:
-    """Refuse an output that cannot be written, or that would overwrite what is read."""
-    if output is None:
-        return
-    if any(path.exists() and output.exists() and path.samefile(output) for path in inputs):
-        raise InvalidOptionError(f"expected an output of its own, got the input {output}; name another file")
-    if output.is_dir() or not output.parent.is_dir():
-        raise InvalidOptionError(f"expected a file in an existing folder, got {output}")
-
-
-@contextmanager
-def _stages(count: int) -> Iterator[Callable[[str], None]]:
-    """A bar on standard error that moves by stages and vanishes when done."""
-    columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
-    console = Console(stderr=True)
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
-        task = progress.add_task("starting", total=count)
-
-        def stage(description: str) -> None:
-            progress.update(task, description=description, advance=1)
-
-        yield stage
-
-
-def main() -> None:
-    """Run the command line; bad input ends with one line on standard error and exit code 2."""
-    try:
-        app()
-    except PgtiError as error:
-        Console(stderr=True, highlight=False).print(f"pgti-gtsam: {error}", markup=False, soft_wrap=True)
-        sys.exit(2)

@@ -1,0 +1,31 @@
+"""The command line: parse, call, print. The only place that catches `PgtiError`."""
+
+from __future__ import annotations
+
+import sys
+
+import typer
+from rich.console import Console
+
+from pgti_gtsam.cli.audit import audit, view
+from pgti_gtsam.errors import PgtiError
+
+app = typer.Typer(add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode=None)
+
+
+@app.callback()
+def describe() -> None:
+    """Is this map right, and where not? Pose-graph topological integrity of SLAM maps."""
+
+
+for _command in (audit, view):
+    app.command()(_command)
+
+
+def main() -> None:
+    """Run the command line; bad input ends with one line on standard error and exit code 2."""
+    try:
+        app()
+    except PgtiError as error:
+        Console(stderr=True, highlight=False).print(f"pgti-gtsam: {error}", markup=False, soft_wrap=True)
+        sys.exit(2)
