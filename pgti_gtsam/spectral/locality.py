@@ -20,6 +20,7 @@ Introduction to Analysis on Graphs, 2018, doi:10.1090/ulect/071; the bound is de
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -94,15 +95,14 @@ def local_change(
 
 def _ball(laplacian: sparse.csc_array, seeds: IntArray, size: int) -> IntArray:
     """The vertices fewest hops from the seeds, about as many as asked for, ascending."""
-    seen = np.zeros(laplacian.shape[0], dtype=bool)
-    seen[seeds] = True
-    frontier, found = seeds, [seeds]
-    while len(frontier) and sum(map(len, found)) < size:
-        neighbours = np.unique(laplacian[:, frontier].indices).astype(np.int64)
-        frontier = neighbours[~seen[neighbours]]
-        seen[frontier] = True
-        found.append(frontier)
-    return np.sort(np.concatenate(found)).astype(np.int64)
+    starts, neighbours = laplacian.indptr, laplacian.indices
+    seen, ring, found = set(seeds.tolist()), seeds.tolist(), seeds.tolist()
+    while ring and len(found) < size:
+        reached = {v for u in ring for v in neighbours[starts[u] : starts[u + 1]].tolist()}
+        ring = sorted(reached - seen)
+        seen.update(ring)
+        found += ring
+    return np.sort(np.array(found, dtype=np.int64))
 
 
 def _on_ball(laplacian: sparse.csc_array, vertices: IntArray, inserted: IntArray, times: FloatArray) -> LocalChange:
@@ -112,9 +112,8 @@ def _on_ball(laplacian: sparse.csc_array, vertices: IntArray, inserted: IntArray
     tree = analyse(len(vertices), np.stack([upper.row, upper.col], axis=1))
     ends = tree.positions[np.searchsorted(vertices, inserted)]
     degree = block.diagonal().max() + np.bincount(inserted.ravel()).max()
-    largest, slowest = 2 * float(degree), 1 / float(times.max())
-    shifts = poles.place(min(SLOWEST_POLE * slowest, largest), largest, POLE_TOLERANCE)
-    fit = poles.fit_from_zero(shifts, times, largest)
+    slowest = 1 / float(times.max())
+    shifts, fit = _fitted(tuple(times.tolist()), 2.0 ** np.ceil(np.log2(2 * degree)))
 
     factor = factorise(FrontEntries.of(tree, block, grounds), np.append(shifts, 0.5 * slowest))
     columns = solve(factor, np.column_stack([incidence(len(vertices), ends), grounds[tree.order]]))
@@ -135,6 +134,14 @@ def _on_ball(laplacian: sparse.csc_array, vertices: IntArray, inserted: IntArray
         after=_sum(diagonals - drop, fit),
         bound=np.sqrt(times / 2) * lost.sum(axis=0),
     )
+
+
+@lru_cache(maxsize=16)
+def _fitted(times: tuple[float, ...], largest: float) -> tuple[ComplexArray, poles.Fit]:
+    """Poles and weights for a spectrum from zero to `largest`, which most candidates of a map share."""
+    slowest = SLOWEST_POLE / max(times)
+    shifts = poles.place(min(slowest, largest), largest, POLE_TOLERANCE)
+    return shifts, poles.fit_from_zero(shifts, np.array(times), largest)
 
 
 def _sum(resolvents: ComplexArray, fit: poles.Fit) -> FloatArray:
