@@ -1,8 +1,8 @@
 """A gate in front of every loop closure: what it changes in units of free space, and the verdict.
 
-`survey` measures a map once; `trial` optimises a copy with a candidate; `yardstick`, `evidence` and `rules` weigh
-what changed; `closure_gate` decides; `revisits`, `past` and `batch` gate whole graphs in time order; `isam2` wraps a
-smoother.
+`survey` measures a map once; `attempt` tries a candidate on a copy, which `trial` optimises; `yardstick`, `evidence`
+and `rules` weigh what changed; `closure_gate` decides; `revisits`, `past` and `batch` gate whole graphs in time
+order; `isam2` wraps a smoother.
 """
 
 from pgti_gtsam.gate.batch import GatedGraph, gate_graph

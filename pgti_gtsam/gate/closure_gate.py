@@ -10,17 +10,20 @@ from functools import cached_property
 import gtsam
 import numpy as np
 
-from pgti_gtsam.gate.evidence import Change, Contacts, Evidence, Seconds, contacts, local_rise
+from pgti_gtsam.gate.attempt import Attempt
+from pgti_gtsam.gate.evidence import Change, Evidence, Seconds
 from pgti_gtsam.gate.rules import (
     GateOptions,
+    bending_objection,
     chi2_objections,
-    doubts,
+    doubt,
     free_space_objections,
     global_rise_objections,
+    hopeless,
     no_objection,
 )
 from pgti_gtsam.gate.survey import Radii, Survey, survey
-from pgti_gtsam.gate.trial import TRIAL_ITERATIONS, checked_closure, factors_of, joined, largest_strain_m, optimised
+from pgti_gtsam.gate.trial import checked_closure, joined
 from pgti_gtsam.integrity import Integrity, assess
 from pgti_gtsam.pose_graph import PoseGraph
 
@@ -33,25 +36,45 @@ class ClosureDecision:
     ----------
     accepted : bool
     reasons : tuple of str
-        Short sentences: every limit that was exceeded, or why there is no objection.
-    evidence : Evidence
-    closure : gtsam.NonlinearFactorGraph
-    values : gtsam.Values
-        The map optimised with the closure, in the caller's noise models, whatever the verdict.
+        Short sentences: every limit that was exceeded, or why there is no objection. Where the bending alone
+        condemns a closure, nothing else has been asked.
+    doubt : float
+        What the default rule holds against the closure, which it rejects beyond one; where the bending alone
+        is beyond one, the bending's share.
+    options : GateOptions
+    attempt : Attempt
     """
 
-    accepted: bool = False
-    reasons: tuple[str, ...] = ()
-    evidence: Evidence
-    closure: gtsam.NonlinearFactorGraph
-    values: gtsam.Values
+    accepted: bool
+    reasons: tuple[str, ...]
+    doubt: float
     options: GateOptions
-    survey: Survey = field(repr=False)
+    attempt: Attempt = field(repr=False)
 
     @property
-    def doubt(self) -> float:
-        """What is left of the case for the closure: rejected, by the default rule, beyond one."""
-        return sum(doubts(self.evidence, self.options).values())
+    def evidence(self) -> Evidence:
+        """Every measured quantity, before and after; what the verdict did not need is measured now."""
+        return self.attempt.evidence
+
+    @property
+    def closure(self) -> gtsam.NonlinearFactorGraph:
+        """The factors that were judged."""
+        return self.attempt.closure
+
+    @property
+    def values(self) -> gtsam.Values:
+        """The map optimised with the closure, in the caller's noise models, whatever the verdict."""
+        return self.attempt.values
+
+    @property
+    def seconds(self) -> Seconds:
+        """Time spent so far. What several candidates share counts in each."""
+        return self.attempt.seconds
+
+    @property
+    def survey(self) -> Survey:
+        """The map that the closure was weighed against."""
+        return self.attempt.before
 
     @property
     def before(self) -> Integrity:
@@ -61,12 +84,12 @@ class ClosureDecision:
     @cached_property
     def after(self) -> Integrity:
         """PGTI of the map with the closure, computed when first asked for."""
-        return assess(self.pose_graph, beta=self.survey.beta)
+        return assess(self.pose_graph, beta=self.options.beta)
 
     @cached_property
     def pose_graph(self) -> PoseGraph:
         """The map with the closure, as `from_gtsam` reads it."""
-        return self.survey.adapted(joined(self.survey.graph, self.closure), self.values)
+        return self.survey.adapted(self.attempt.together, self.values)
 
     @property
     def score(self) -> Change:
@@ -195,16 +218,27 @@ class LoopClosureGate:
     def judge(self, before: Survey, closure: gtsam.NonlinearFactorGraph) -> ClosureDecision:
         """Judge one closure against a map that was surveyed."""
         checked_closure(closure, before.values)
-        decision = _tried(before, closure, self.options)
-        evidence, options = decision.evidence, self.options
+        attempt, options = Attempt(before=before, closure=joined(closure)), self.options
+        if options.rule == "free_space" and hopeless(attempt.bending, options):
+            return ClosureDecision(
+                accepted=False,
+                reasons=(bending_objection(attempt.bending, options),),
+                doubt=attempt.bending / options.max_bending,
+                options=options,
+                attempt=attempt,
+            )
+        evidence = attempt.evidence
+        tried = ClosureDecision(
+            accepted=True, reasons=(), doubt=doubt(evidence, options), options=options, attempt=attempt
+        )
         if options.rule == "global_rise":
-            objections = global_rise_objections(decision.global_score, options)
+            objections = global_rise_objections(tried.global_score, options)
         else:
             objections = free_space_objections(evidence, options)
         if options.chi2_confidence is not None:
             objections += chi2_objections(evidence, options.chi2_confidence)
         reasons = objections or [no_objection(evidence)]
-        return replace(decision, accepted=not objections, reasons=tuple(reasons))
+        return replace(tried, accepted=not objections, reasons=tuple(reasons))
 
     def judge_group(self, before: Survey, closures: Sequence[gtsam.NonlinearFactorGraph]) -> GroupDecision:
         """Judge closures that arrived together against a map that was surveyed."""
@@ -242,46 +276,5 @@ def admitted(before: Survey, decision: ClosureDecision) -> Survey:
 def most_trusted_first(before: Survey, closures: Sequence[gtsam.NonlinearFactorGraph]) -> list[int]:
     """Closures by how many of the others agree with them, among equals by how little the map need bend."""
     votes = before.yardstick.votes(closures)
-    bendings = np.array([before.yardstick.bending(closure, before.values) for closure in closures])
+    bendings = np.array([before.yardstick.bending(closure) for closure in closures])
     return [int(k) for k in np.lexsort((bendings, -votes))]
-
-
-def _tried(before: Survey, closure: gtsam.NonlinearFactorGraph, options: GateOptions) -> ClosureDecision:
-    """Add, optimise, adapt, compare; no verdict yet."""
-    started = time.perf_counter()
-    together = joined(before.graph, closure)
-    values = optimised(together, before.values, max_iterations=TRIAL_ITERATIONS)
-    bending = before.yardstick.bending(closure, values)
-    optimal = time.perf_counter()
-    pose_graph = before.with_closure(closure, values)
-    adapted = time.perf_counter()
-    after = contacts(pose_graph)
-    score, worst = local_rise(before.contacts, after)
-    spectral = time.perf_counter()
-    unit = before.yardstick.unit_m
-    strains = (
-        largest_strain_m(before.closures, before.values) / unit,
-        largest_strain_m([*before.closures, *factors_of(closure)], values) / unit,
-    )
-    evidence = Evidence(
-        unit_m=unit,
-        local_score=score,
-        worst_key=None if worst is None else int(before.pose_graph.keys[worst]),
-        strain=Change(before=strains[0], after=strains[1]),
-        bending=bending,
-        overlaps=Change(before=before.contacts.unexplained, after=after.unexplained),
-        radius_loss=_radius_loss(before.contacts, after),
-        chi2=Change(before=2 * before.graph.error(before.values), after=2 * together.error(values)),
-        chi2_dof=sum(factor.dim() for factor in factors_of(closure)),
-        seconds=Seconds(
-            adaptation=before.seconds[0] + adapted - optimal,
-            optimisation=before.seconds[1] + optimal - started,
-            spectra=spectral - adapted,
-        ),
-    )
-    return ClosureDecision(evidence=evidence, closure=joined(closure), values=values, options=options, survey=before)
-
-
-def _radius_loss(before: Contacts, after: Contacts) -> float:
-    old, new = before.pose_graph.radii, after.pose_graph.radii
-    return float(np.max(1 - np.divide(new, old, out=np.ones_like(old), where=old > 0), initial=0.0))

@@ -8,6 +8,7 @@ with itself, before and after, near what the closure changed.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -34,6 +35,9 @@ take a few hundredths of a second."""
 CHANGED = 150
 """Changed keyframes at most that the score is asked of, those with most changes first: half of `REGION`, so
 that they keep surroundings. A closure that changes more has folded the map in many places, and shows in each."""
+
+
+AT_ONCE = 2_000_000  # pairs of keyframes that are compared in one go: some hundred megabytes
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -88,7 +92,6 @@ class Evidence:
         Twice the factor graph's error, in the caller's noise models.
     chi2_dof : int
         Dimension of the closure's measurements.
-    seconds : Seconds
     """
 
     unit_m: float
@@ -100,7 +103,6 @@ class Evidence:
     radius_loss: float
     chi2: Change
     chi2_dof: int
-    seconds: Seconds
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -155,7 +157,7 @@ def explained_overlaps(pose_graph: PoseGraph) -> Pairs:
     r_i + r_j, the spheres of i and j must meet, however the way bends. Lengths are those of the
     estimate, so that every pair found does overlap.
     """
-    n = len(pose_graph)
+    n, radii = len(pose_graph), pose_graph.radii
     steps = np.linalg.norm(np.diff(pose_graph.positions, axis=0), axis=1)
     i, j = pose_graph.edges.T
     linked = np.zeros(n - 1, dtype=bool)
@@ -163,29 +165,37 @@ def explained_overlaps(pose_graph: PoseGraph) -> Pairs:
     chain = np.concatenate([[0], np.cumsum(~linked)])
     travelled = np.concatenate([[0.0], np.cumsum(steps)])
     bridges = pose_graph.edges[(j > i + 1) & (pose_graph.edge_sources & EdgeSource.BETWEEN > 0)]
-    found = [_across(a, b, travelled, chain, pose_graph) for a, b in bridges.tolist()]
+    gaps = np.linalg.norm(pose_graph.positions[bridges[:, 0]] - pose_graph.positions[bridges[:, 1]], axis=1)
+    reach = 2 * radii.max() - gaps
+    bridges, gaps, reach = bridges[reach >= 0], gaps[reach >= 0], reach[reach >= 0]
+    first = np.searchsorted(travelled, travelled[bridges] - reach[:, None])
+    ends = np.searchsorted(travelled, travelled[bridges] + reach[:, None], side="right")
+    found = []
+    for part in _even_parts(np.prod(ends - first, axis=1)):
+        bridge, p, q = _pairs_across(first[part], ends[part])
+        a, b = bridges[part][bridge].T
+        slack = radii[p] - np.abs(travelled[p] - travelled[a]) + radii[q] - np.abs(travelled[q] - travelled[b])
+        met = (slack >= gaps[part][bridge]) & (chain[p] == chain[a]) & (chain[q] == chain[b]) & (p != q)
+        found.append(np.stack([p[met], q[met]], axis=1))
     return np.concatenate([np.empty((0, 2), dtype=np.int64), *found])
 
 
-def _across(a: int, b: int, travelled: NDArray[np.float64], chain: NDArray[np.int64], graph: PoseGraph) -> Pairs:
-    """Pairs whose way through the bridge from a to b is no longer than the sum of their radii."""
-    radii, gap = graph.radii, float(np.linalg.norm(graph.positions[a] - graph.positions[b]))
-    reach = 2 * radii.max() - gap
-    near_a, near_b = (_within(end, reach, travelled, chain) for end in (a, b))
-    slack_a, slack_b = (
-        radii[near] - np.abs(travelled[near] - travelled[end]) for near, end in ((near_a, a), (near_b, b))
-    )
-    p, q = np.nonzero(slack_a[:, None] + slack_b[None, :] >= gap)
-    i, j = near_a[p], near_b[q]
-    pairs: Pairs = np.stack([i, j], axis=1)[i != j]
-    return pairs
+def _even_parts(sizes: NDArray[np.int64]) -> Iterator[slice]:
+    """Slices of at least one item, and of no more than `AT_ONCE` in size where one item is not larger itself."""
+    start = 0
+    while start < len(sizes):
+        count = max(int(np.searchsorted(np.cumsum(sizes[start:]), AT_ONCE, side="right")), 1)
+        yield slice(start, start + count)
+        start += count
 
 
-def _within(end: int, reach: float, travelled: NDArray[np.float64], chain: NDArray[np.int64]) -> NDArray[np.int64]:
-    first, last = np.searchsorted(travelled, [travelled[end] - reach, travelled[end] + reach], side="left")
-    near = np.arange(first, min(last + 1, len(travelled)))
-    own: NDArray[np.int64] = near[chain[near] == chain[end]]
-    return own
+def _pairs_across(first: Pairs, ends: Pairs) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """All pairs between the two windows [first, ends) of every bridge: the bridge, and both places."""
+    widths = ends - first
+    counts = np.prod(widths, axis=1)
+    bridge = np.repeat(np.arange(len(counts)), counts)
+    k = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
+    return bridge, first[bridge, 0] + k // widths[bridge, 1], first[bridge, 1] + k % widths[bridge, 1]
 
 
 def local_rise(before: Contacts, after: Contacts) -> tuple[Change, int | None]:

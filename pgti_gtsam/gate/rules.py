@@ -80,16 +80,32 @@ def doubts(evidence: Evidence, options: GateOptions) -> dict[str, float]:
     }
 
 
+def doubt(evidence: Evidence, options: GateOptions) -> float:
+    """What speaks against a closure, all in all: rejected beyond one."""
+    return sum(doubts(evidence, options).values())
+
+
+def hopeless(bending: float, options: GateOptions) -> bool:
+    """Whether the bending alone condemns a closure."""
+    return bending > options.max_bending
+
+
+def bending_objection(bending: float, options: GateOptions) -> str:
+    """What the bending says."""
+    return (
+        f"the map would have to bend {bending:.2g} times as far as poor odometry drifts (limit {options.max_bending:g})"
+    )
+
+
 def free_space_objections(evidence: Evidence, options: GateOptions) -> list[str]:
     """What each witness says, the gravest first, when together they leave too much doubt."""
     shares = doubts(evidence, options)
-    if sum(shares.values()) <= 1:
+    if doubt(evidence, options) <= 1:
         return []
     score, strain = evidence.local_score, evidence.strain
     where = "none" if evidence.worst_key is None else key_label(evidence.worst_key)
     said = {
-        "bending": f"the map would have to bend {evidence.bending:.2g} times as far as poor odometry drifts "
-        f"(limit {options.max_bending:g})",
+        "bending": bending_objection(evidence.bending, options),
         "local_rise": f"free space around {where} comes to touch places that nothing connects: its score "
         f"rises from {score.before:.2f} to {score.after:.2f} (limit +{options.max_local_rise:g})",
         "strain": f"closures would miss by {strain.after * evidence.unit_m:.2f} m: {strain.after:.2g} of the free "

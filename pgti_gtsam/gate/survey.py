@@ -15,7 +15,7 @@ from pgti_gtsam.adapter import from_gtsam
 from pgti_gtsam.adapter.values import read_keyframes
 from pgti_gtsam.errors import MissingValueError
 from pgti_gtsam.gate.evidence import Contacts, contacts
-from pgti_gtsam.gate.trial import BETWEEN, factors_of, joined, keys_of, optimised
+from pgti_gtsam.gate.trial import BETWEEN, anchors, factors_of, joined, keys_of, largest_strain_m, optimised
 from pgti_gtsam.gate.yardstick import Yardstick, yardstick
 from pgti_gtsam.integrity import Integrity, assess
 from pgti_gtsam.pose_graph import EdgeSource, PoseGraph
@@ -62,6 +62,16 @@ class Survey:
     def integrity(self) -> Integrity:
         """PGTI of the map."""
         return assess(self.pose_graph, beta=self.beta)
+
+    @cached_property
+    def held(self) -> gtsam.NonlinearFactorGraph:
+        """A prior for every component that the graph itself holds by none."""
+        return anchors(self.graph, self.values)
+
+    @cached_property
+    def strain_m(self) -> float:
+        """Largest translation residual of any closure."""
+        return largest_strain_m(self.closures, self.values)
 
     @cached_property
     def closures(self) -> list[Any]:

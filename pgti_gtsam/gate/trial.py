@@ -77,6 +77,7 @@ def optimised(
     graph: gtsam.NonlinearFactorGraph,
     values: gtsam.Values,
     *,
+    held: gtsam.NonlinearFactorGraph | None = None,
     max_iterations: int = MAX_ITERATIONS,
     tolerance: float = 1e-5,
 ) -> gtsam.Values:
@@ -85,6 +86,8 @@ def optimised(
     Parameters
     ----------
     graph, values
+    held : gtsam.NonlinearFactorGraph, optional
+        Priors that hold it in place, where they are known: those of `anchors`.
     max_iterations : int
     tolerance : float
         Relative decrease of the error at which to stop; GTSAM's own default.
@@ -97,7 +100,7 @@ def optimised(
     parameters = gtsam.LevenbergMarquardtParams()
     parameters.setMaxIterations(max_iterations)
     parameters.setRelativeErrorTol(tolerance)
-    anchored = joined(graph, anchors(graph, values))
+    anchored = joined(graph, anchors(graph, values) if held is None else held)
     try:
         found = gtsam.LevenbergMarquardtOptimizer(anchored, values, parameters).optimize()
     except RuntimeError as error:
@@ -105,6 +108,13 @@ def optimised(
     if not np.isfinite(graph.error(found)):
         raise UnsolvableGraphError(f"expected a finite error at the optimum, got {graph.error(found)}")
     return found
+
+
+def still_held(
+    held: gtsam.NonlinearFactorGraph, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values
+) -> gtsam.NonlinearFactorGraph:
+    """Anchors of a graph that has grown by a closure, from those it had without: two may hold one component now."""
+    return held if held.size() <= 1 else anchors(graph, values)
 
 
 def anchors(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam.NonlinearFactorGraph:

@@ -37,7 +37,7 @@ ComplexArray = NDArray[np.complex128]
 FloatArray = NDArray[np.float64]
 
 MAX_CHUNK = 16  # shifts at once; more gain little over the overhead of a call, and cost memory
-MEMORY_BYTES = 400e6  # for the factors of one chunk
+MEMORY_BYTES = 100e6  # for the factors of one chunk; four times as much is no faster on laps, streets or chains
 CACHE_BYTES = 4e6  # for the fronts that are worked on at once
 ONE_CALL = 300  # entries of a block up to which all shifts are indexed in one call
 INVERSE_BLOCK = 16  # above this size inverses are halved recursively: products are faster than LAPACK's inverse
