@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from scenarios import speed
+from scenarios.speed import solvers
 
 ROOT = Path(__file__).parents[1]
 
@@ -27,14 +28,33 @@ def test_the_growth_of_a_power_law_is_its_exponent():
 
 
 def test_every_solver_is_timed_and_compared_with_dense():
-    rows = {row["solver"]: row for row in speed.measured("chain-200", None, 1000)}
-    assert set(rows) == set(speed.SOLVERS)
+    rows = {row["solver"]: row for row in speed.in_fresh_process("solvers", "chain-200", 1000, None)}
+    assert set(rows) == set(solvers.SOLVERS)
     assert rows["dense"]["zeta_error"] is None
     for solver, row in rows.items():
         assert row["n_vertices"] == 200
         assert row["seconds"] > 0
         if solver != "dense":
             assert row["zeta_error"] < {"lanczos": 0.1, "chebyshev": 1e-3}.get(solver, 1e-6)
+
+
+def test_the_audit_is_timed_part_by_part():
+    rows = {row["part"]: row for row in speed.in_fresh_process("audits", "landmarks-300", 1000, None)}
+    assert {"adaptation", "support graph", "spectra", "optimality"} < set(rows)
+    assert all(row["seconds"] >= 0 and row["n_keyframes"] == 300 for row in rows.values())
+
+
+def test_updates_are_timed_on_a_cached_map():
+    rows = speed.in_fresh_process("updates", "chain-500-2", 1000, None)
+    assert {row.get("n_inserted") for row in rows} == {None, 1, 10}
+    assert all(row["seconds"] > 0 for row in rows)
+
+
+def test_the_figure_is_drawn_from_the_results(tmp_path):
+    row = {"solver": "poles", "peak_megabytes": 3.0, "zeta_error": None}
+    rows = [{**row, "case": f"chain-{n}", "n_vertices": n, "seconds": n * 1e-4} for n in (3000, 10_000)]
+    speed.write({"solvers": rows, "growth": speed.growth(rows)}, tmp_path / "speed.json")
+    assert (tmp_path / "speed.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_a_folder_that_is_not_there_is_named():

@@ -1,17 +1,8 @@
-"""How long the heat kernels of pose graph and merged graph take, by solver, and how that grows.
-
-Every graph has a fresh process with one BLAS thread, in which the solvers run one after the other, so that
-ratios hold when the machine's speed drifts. Times are processor times.
-"""
+"""The heat kernels of pose graph and merged graph by one solver after the other, in one process."""
 
 from __future__ import annotations
 
-import json
-import os
-import platform
 import resource
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -25,7 +16,6 @@ from scipy.sparse.linalg import eigsh
 
 import pgti_gtsam as pgti
 from pgti_gtsam import datasets
-from pgti_gtsam.errors import InvalidOptionError
 from pgti_gtsam.gate.trial import optimised
 from pgti_gtsam.integrity import STABLE_TIMES, relative_distortion, time_grid
 from pgti_gtsam.spectral.heat_kernel import heat_kernels
@@ -54,43 +44,8 @@ STORED = "-stored"
 SOLVERS = ("poles", "auto", "lanczos", "chebyshev", "dense")
 
 
-def run(data: Path | None, largest: int, dense_up_to: int, tell: Callable[[str], None]) -> Row:
-    """Measure every graph with every solver that can afford it; what is found, ready for JSON."""
-    if data is not None and not data.is_dir():
-        raise InvalidOptionError(f"expected a folder with the real graphs, got {data}")
-    rows = []
-    for case in _cases(data, largest):
-        for row in measured(case, data, dense_up_to):
-            rows.append(row)
-            tell(
-                f"{case:16s} {row['solver']:9s} {row['n_vertices']:8d} vertices {row['seconds']:9.3f} s "
-                f"{row['peak_megabytes']:7.0f} MB  ζ error {row['zeta_error']}"
-            )
-    return {"machine": f"{platform.machine()}, {os.cpu_count()} cores", "rows": rows, "growth": growth(rows)}
-
-
-def write(found: Row, path: Path) -> None:
-    """Write the results as JSON."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
-
-
-def growth(rows: list[Row]) -> dict[str, float]:
-    """Exponent of each family's time with the poles, from 3000 vertices on: slope in log-log."""
-    found = {}
-    for family in ("chain", "laps"):
-        points = [
-            (row["n_vertices"], row["seconds"])
-            for row in rows
-            if row["case"].startswith(family) and row["solver"] == "poles" and row["n_vertices"] >= 3000
-        ]
-        if len(points) > 1:
-            sizes, seconds = np.log(np.array(points)).T
-            found[family] = float(np.polyfit(sizes, seconds, 1)[0])
-    return found
-
-
-def _cases(data: Path | None, largest: int) -> Iterator[str]:
+def cases(data: Path | None, largest: int) -> Iterator[str]:
+    """Names of the graphs to solve, synthetic ones up to a size."""
     for n in (size for size in SIZES if size <= largest):
         yield f"chain-{n}"
         if n <= 30_000:
@@ -99,16 +54,7 @@ def _cases(data: Path | None, largest: int) -> Iterator[str]:
     yield from [*REAL, f"city10000{STORED}"] if data is not None else ()
 
 
-def measured(case: str, data: Path | None, dense_up_to: int) -> list[Row]:
-    """One row for each solver of one graph, all of a fresh process with one BLAS thread."""
-    environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
-    command = [sys.executable, "-m", "scenarios.speed", case, str(dense_up_to), str(data or "")]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
-    found: list[Row] = json.loads(done.stdout)
-    return found
-
-
-def _graphs(case: str, data: Path | None) -> tuple[int, Edges, Edges]:
+def graphs_of(case: str, data: Path | None) -> tuple[int, Edges, Edges]:
     """Number of vertices, edges of the pose graph, edges of the merged graph."""
     if case.removesuffix(STORED) in REAL:
         name, radius = REAL[case.removesuffix(STORED)]
@@ -124,49 +70,50 @@ def _graphs(case: str, data: Path | None) -> tuple[int, Edges, Edges]:
     return n, edges, np.unique(np.concatenate([edges, inserted]), axis=0)
 
 
-def _band(n: int, width: int) -> Edges:
+def band(n: int, width: int) -> Edges:
+    """Every vertex of a chain tied to its next `width`."""
     return np.concatenate([np.stack([np.arange(n - d), np.arange(n - d) + d], axis=1) for d in range(1, width + 1)])
 
 
 def _chain(n: int, rng: np.random.Generator) -> Edges:
     """Every keyframe sees its ten neighbours on either side."""
-    return _band(n, 10)
+    return band(n, 10)
 
 
 def _laps(n: int, rng: np.random.Generator) -> Edges:
     """Five laps with twenty neighbours, each keyframe tied to the one a lap later."""
     lap = n // 5
-    return np.concatenate([_band(n, 20), np.stack([np.arange(n - lap), np.arange(n - lap) + lap], axis=1)])
+    return np.concatenate([band(n, 20), np.stack([np.arange(n - lap), np.arange(n - lap) + lap], axis=1)])
 
 
 def _random(n: int, rng: np.random.Generator) -> Edges:
     """Uniformly random pairs, mean degree ten, on a path: no geometry to exploit."""
     pairs = np.sort(rng.integers(0, n, size=(4 * n, 2)), axis=1)
-    return np.unique(np.concatenate([_band(n, 1), pairs[pairs[:, 0] != pairs[:, 1]]]), axis=0)
+    return np.unique(np.concatenate([band(n, 1), pairs[pairs[:, 0] != pairs[:, 1]]]), axis=0)
 
 
-def _child(case: str, data: Path | None, dense_up_to: int) -> list[Row]:
+def solved(case: str, data: Path | None, dense_up_to: int) -> list[Row]:
     """Run the solvers in turn, the leanest first: a peak of memory never falls, so each must exceed those before."""
-    n, edges, merged = _graphs(case, data)
+    n, edges, merged = graphs_of(case, data)
     rows, found = [], {}
-    before = _peak_megabytes()
+    before = peak_megabytes()
     for solver in SOLVERS:
         # On a track Chebyshev's order is that of the square root of κ: beyond 300 vertices it takes minutes.
         chebyshev = 1000 if case.startswith("random") else 300
-        if n > {"dense": dense_up_to, "lanczos": 10_000, "chebyshev": chebyshev}.get(solver, n):
+        if n > {"dense": dense_up_to, "lanczos": 10_000, "auto": 10_000, "chebyshev": chebyshev}.get(solver, n):
             continue
         start = time.process_time()
         found[solver] = _SOLVE[solver](n, edges, merged)
         seconds = time.process_time() - start
         sizes = {"case": case, "solver": solver, "n_vertices": n, "n_edges": len(merged)}
-        rows.append({**sizes, "seconds": seconds, "peak_megabytes": _peak_megabytes() - before, "zeta_error": None})
+        rows.append({**sizes, "seconds": seconds, "peak_megabytes": peak_megabytes() - before, "zeta_error": None})
     for row in rows:
         if "dense" in found and row["solver"] != "dense":
             row["zeta_error"] = float(np.abs(found[row["solver"]] - found["dense"]).max())
     return rows
 
 
-def _zeta(n: int, edges: Edges, merged: Edges, method: Any) -> NDArray[np.float64]:
+def zeta_of(n: int, edges: Edges, merged: Edges, method: Any) -> NDArray[np.float64]:
     """ζ of every vertex (Eq. 17), and the diagonals that the stable score takes."""
     kernel_p, kernel_m = heat_kernels(n, edges, merged, method=method)
     times = time_grid(kernel_m, 100)
@@ -214,17 +161,15 @@ def _chebyshev_zeta(n: int, edges: Edges, merged: Edges) -> NDArray[np.float64]:
     return relative_distortion(signatures[0], signatures[1], 2)
 
 
-def _peak_megabytes() -> float:
+def peak_megabytes() -> float:
+    """Largest memory that this process has had."""
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 
 _SOLVE: dict[str, Callable[[int, Edges, Edges], NDArray[np.float64]]] = {
-    "auto": lambda n, edges, merged: _zeta(n, edges, merged, "auto"),
-    "poles": lambda n, edges, merged: _zeta(n, edges, merged, "poles"),
-    "dense": lambda n, edges, merged: _zeta(n, edges, merged, "dense"),
+    "auto": lambda n, edges, merged: zeta_of(n, edges, merged, "auto"),
+    "poles": lambda n, edges, merged: zeta_of(n, edges, merged, "poles"),
+    "dense": lambda n, edges, merged: zeta_of(n, edges, merged, "dense"),
     "lanczos": _lanczos_zeta,
     "chebyshev": _chebyshev_zeta,
 }
-
-if __name__ == "__main__":
-    print(json.dumps(_child(sys.argv[1], Path(sys.argv[3]) if sys.argv[3] else None, int(sys.argv[2]))))

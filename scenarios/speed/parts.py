@@ -1,0 +1,200 @@
+"""The audit part by part, one more closure on a cached map, and a decision of the gate with what it spends."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import gtsam
+import numpy as np
+
+import pgti_gtsam as pgti
+from pgti_gtsam import datasets
+from pgti_gtsam.gate.batch import closure_ends
+from pgti_gtsam.gate.trial import optimised
+from pgti_gtsam.integrity import STABLE_TIMES, relative_distortion, stable_scores, time_grid
+from pgti_gtsam.optimality import compare_optimality
+from pgti_gtsam.report.document import audit_document
+from pgti_gtsam.spectral.heat_kernel import heat_kernels
+from pgti_gtsam.spectral.laplacian import laplacian
+from pgti_gtsam.spectral.locality import local_change
+from pgti_gtsam.spectral.low_rank import SpectralState
+from pgti_gtsam.support_graph import support_graph
+from scenarios.speed.solvers import REAL, band
+
+Row = dict[str, Any]
+
+SIGHTINGS = 5
+"""Landmarks that each keyframe of the synthetic map sees, new or old."""
+
+N_DECISIONS = 10
+
+
+class Stopwatch:
+    """Processor time since the last look, by name."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+        self._last = time.process_time()
+
+    def look(self, name: str) -> None:
+        """Book what has passed on a name."""
+        now = time.process_time()
+        self.seconds[name] = now - self._last
+        self._last = time.process_time()
+
+
+def audit(case: str, data: Path) -> list[Row]:
+    """What each step of `pgti-gtsam audit` costs."""
+    watch = Stopwatch()
+    dataset, radii = _mapped(case, data)
+    watch.look("reading")
+    pose_graph = pgti.from_gtsam(dataset.graph, dataset.values, radii=radii)
+    watch.look("adaptation")
+    support = support_graph(pose_graph)
+    watch.look("support graph")
+    kernels = heat_kernels(len(pose_graph), pose_graph.edges, support.merged_edges)
+    times = time_grid(kernels[1], 100)
+    relative_distortion(kernels[0].signatures(times), kernels[1].signatures(times), 2)
+    stable_scores(*kernels)
+    watch.look("spectra")
+    compare_optimality(pose_graph, support, kernels)
+    watch.look("optimality")
+    integrity = pgti.assess(pose_graph)
+    watch.look("all of assess")
+    audit_document(pose_graph, integrity, name=case, file_format="", notes=(), options={})
+    watch.look("document")
+    sizes = {"case": case, "n_keyframes": len(pose_graph), "n_factors": dataset.graph.size()}
+    return [{**sizes, "part": part, "seconds": seconds} for part, seconds in watch.seconds.items()]
+
+
+def _mapped(case: str, data: Path) -> tuple[datasets.Dataset, float | None]:
+    if case == "kitti_00_stereo":
+        return datasets.builtin(), None
+    if case in REAL:
+        name, radius = REAL[case]
+        return datasets.read(data / name), radius
+    return _landmark_map(int(case.removeprefix("landmarks-"))), None
+
+
+def _landmark_map(n: int) -> datasets.Dataset:
+    """A straight road of n keyframes, each of which sees five of the n landmarks along it."""
+    graph, values, landmark = gtsam.NonlinearFactorGraph(), gtsam.Values(), gtsam.symbol_shorthand.L
+    unit3, unit2 = gtsam.noiseModel.Unit.Create(3), gtsam.noiseModel.Unit.Create(2)
+    for k in range(n):
+        values.insert(k, gtsam.Pose2(k, 0, 0))
+        values.insert(landmark(k), np.array([k, 3.0]))
+        if k:
+            graph.push_back(gtsam.BetweenFactorPose2(k - 1, k, gtsam.Pose2(1, 0, 0), unit3))
+        for seen in range(k, min(k + SIGHTINGS, n)):
+            bearing, reach = gtsam.Rot2.atan2(3.0, seen - k), float(np.hypot(seen - k, 3.0))
+            graph.push_back(gtsam.BearingRangeFactor2D(k, landmark(seen), bearing, reach, unit2))
+    return datasets.Dataset(name=f"landmarks-{n}", format="synthetic", graph=graph, values=values)
+
+
+def updates(case: str) -> list[Row]:
+    """One more closure on a cached chain: by low-rank update of all keyframes, and by its neighbourhood alone."""
+    _, size, width = case.split("-")
+    n, edges = int(size), band(int(size), int(width))
+    watch = Stopwatch()
+    state = SpectralState.of(n, edges)
+    matrix = laplacian(n, edges)
+    watch.look("state")
+    rows = [{"case": case, "what": "factorising the map once", "seconds": watch.seconds["state"]}]
+    for count in (1, 10):
+        inserted = np.stack([n // 2 + np.arange(count), n // 2 + 37 + np.arange(count)], axis=1)
+        tried = {
+            "diagonals at all keyframes": lambda i=inserted: state.diagonals_with(i, STABLE_TIMES),
+            "with the ends of the spectrum": lambda i=inserted: state.kernel_with(i).diagonals(STABLE_TIMES),
+            "neighbourhood alone": lambda i=inserted: local_change(matrix, i, STABLE_TIMES),
+        }
+        rows += [
+            {"case": case, "what": what, "n_inserted": count, "seconds": _best_of(5, task)}
+            for what, task in tried.items()
+        ]
+    return rows
+
+
+def _best_of(count: int, task: Callable[[], object]) -> float:
+    found = []
+    for _ in range(count):
+        started = time.process_time()
+        task()
+        found.append(time.process_time() - started)
+    return min(found)
+
+
+def decisions(case: str, data: Path) -> list[Row]:
+    """True closures taken out of a map and offered again, and false ones, against one optimisation of the map."""
+    if case == "w10000":
+        dataset, radius = datasets.read(Path(gtsam.findExampleDataFile("w10000.graph"))), 0.4
+    else:
+        name, radius = REAL[case]
+        dataset = datasets.read(data / name)
+    if case == "kitti_00":
+        dataset = datasets.subsample(dataset, 5)
+    started = time.process_time()
+    best = optimised(dataset.graph, dataset.values)
+    optimisation = time.process_time() - started
+    graph, offers = _offers(dataset, best, radius)
+    gate = pgti.LoopClosureGate()
+    watch = Stopwatch()
+    survey = gate.survey(graph, best, radius)
+    watch.look("adapting and optimising without the closure")
+    _ = survey.yardstick.at_rest, survey.yardstick.held, survey.contacts, survey.held, survey.strain_m
+    watch.look("contacts and yardstick without the closure")
+    common = {"case": case, "n_keyframes": len(survey.pose_graph), "one_optimisation": optimisation}
+    rows = [{**common, "what": part, "seconds": seconds} for part, seconds in watch.seconds.items()]
+    for kind, closures in offers.items():
+        found = []
+        for closure in closures:
+            started = time.process_time()
+            decision = gate.judge(survey, closure)
+            spent = decision.seconds
+            found.append(
+                (
+                    time.process_time() - started,
+                    spent.adaptation - survey.seconds[0],
+                    spent.optimisation - survey.seconds[1],
+                    spent.spectra,
+                    decision.accepted,
+                )
+            )
+        whole, adaptation, trial, spectra, accepted = np.array(found).T
+        rows.append(
+            {
+                **common,
+                "what": f"a decision on a {kind} closure",
+                "seconds": float(np.median(whole)),
+                "slowest": float(whole.max()),
+                "adaptation": float(np.median(adaptation)),
+                "optimisation": float(np.median(trial)),
+                "spectra": float(np.median(spectra)),
+                "accepted": int(accepted.sum()),
+                "offered": len(found),
+            }
+        )
+    return rows
+
+
+def _offers(
+    dataset: datasets.Dataset, best: gtsam.Values, radius: float
+) -> tuple[gtsam.NonlinearFactorGraph, dict[str, list[gtsam.NonlinearFactorGraph]]]:
+    """The map without some of its closures; these; and as many between random keyframes."""
+    rng = np.random.default_rng(0)
+    pose_graph = pgti.from_gtsam(dataset.graph, best, radii=radius)
+    slots = rng.choice(list(closure_ends(pose_graph, dataset.graph)), N_DECISIONS, replace=False).tolist()
+    graph = gtsam.NonlinearFactorGraph(dataset.graph)
+    offers: dict[str, list[gtsam.NonlinearFactorGraph]] = {"true": [], "false": []}
+    for slot in slots:
+        factor = graph.at(slot)
+        first, second = rng.choice(pose_graph.keys, 2, replace=False).tolist()
+        wrong = type(factor)(first, second, factor.measured(), factor.noiseModel())
+        graph.remove(slot)
+        for kind, own in (("true", factor), ("false", wrong)):
+            closure = gtsam.NonlinearFactorGraph()
+            closure.push_back(own)
+            offers[kind].append(closure)
+    return graph, offers
