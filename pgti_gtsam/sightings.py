@@ -75,6 +75,8 @@ def minimum_sphere_radii(
     (n,) float, m
     """
     n = len(positions)
+    if not len(sightings.keyframes):
+        return np.zeros(n)
     radii = np.full(n, np.inf)
     np.fmin.at(radii, sightings.keyframes, sightings.distances)
     incidence = sightings.incidence()

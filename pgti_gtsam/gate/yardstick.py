@@ -8,6 +8,7 @@ number serves rooms and streets, and no noise model of the caller's enters.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -148,14 +149,15 @@ def yardstick(pose_graph: PoseGraph, values: gtsam.Values) -> Yardstick:
     ties are closures already accepted.
     """
     unit, poses = free_space_unit(pose_graph), poses_of(values)
+    keys = pose_graph.keys.tolist()
+    placed = [pose_at(poses, key) for key in keys]
     edges = gtsam.NonlinearFactorGraph()
     for (i, j), source in zip(pose_graph.edges.tolist(), pose_graph.edge_sources.tolist(), strict=True):
-        first, second = int(pose_graph.keys[i]), int(pose_graph.keys[j])
         if j == i + 1:
-            step = _relative(poses, first, second)
-            edges.push_back(_between([first, second], step, DRIFT * np.sqrt(_length(step, unit)), unit))
+            step = placed[i].between(placed[j])
+            edges.push_back(_between((keys[i], keys[j]), step, DRIFT * math.sqrt(_length(step, unit)), unit))
         elif source & EdgeSource.BETWEEN:
-            edges.push_back(_between([first, second], _relative(poses, first, second), OFFSET, unit))
+            edges.push_back(_between((keys[i], keys[j]), placed[i].between(placed[j]), OFFSET, unit))
     return Yardstick(unit_m=unit, edges=edges, poses=poses)
 
 
@@ -169,10 +171,6 @@ def poses_of(values: gtsam.Values) -> gtsam.Values:
     return poses
 
 
-def _relative(poses: gtsam.Values, first: int, second: int) -> Any:
-    return pose_at(poses, first).between(pose_at(poses, second))
-
-
 def pose_at(poses: gtsam.Values, key: int) -> Any:
     """The Pose2 or Pose3 of a key."""
     return typed_value(poses, "Pose2", key) or poses.atPose3(key)
@@ -180,15 +178,19 @@ def pose_at(poses: gtsam.Values, key: int) -> Any:
 
 def _length(step: Any, unit: float) -> float:
     """Length of a step in ρ or radians, whichever is more."""
-    turn = abs(step.theta()) if isinstance(step, gtsam.Pose2) else np.linalg.norm(gtsam.Rot3.Logmap(step.rotation()))
-    return max(float(np.linalg.norm(step.translation())) / unit, float(turn), SHORTEST)
+    if isinstance(step, gtsam.Pose2):
+        moved, turned = math.hypot(step.x(), step.y()), abs(step.theta())
+    else:
+        moved, turned = math.hypot(*step.translation()), math.hypot(*gtsam.Rot3.Logmap(step.rotation()))
+    return max(moved / unit, turned, SHORTEST)
 
 
 def _between(keys: Sequence[int], measured: Any, tolerance: float, unit: float) -> Any:
     """Between factor with a tolerance in ρ and rad."""
     first, second = keys
+    length, angle = tolerance * unit, tolerance
     if isinstance(measured, gtsam.Pose2):
-        model = gtsam.noiseModel.Diagonal.Sigmas(tolerance * np.array([unit, unit, 1.0]))
+        model = gtsam.noiseModel.Diagonal.Sigmas([length, length, angle])
         return gtsam.BetweenFactorPose2(first, second, measured, model)
-    model = gtsam.noiseModel.Diagonal.Sigmas(tolerance * np.array([1.0, 1.0, 1.0, unit, unit, unit]))
+    model = gtsam.noiseModel.Diagonal.Sigmas([angle, angle, angle, length, length, length])
     return gtsam.BetweenFactorPose3(first, second, measured, model)
