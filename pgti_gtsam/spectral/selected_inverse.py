@@ -37,7 +37,8 @@ ComplexArray = NDArray[np.complex128]
 FloatArray = NDArray[np.float64]
 
 MAX_CHUNK = 16  # shifts at once; more gain little over the overhead of a call, and cost memory
-MEMORY_BYTES = 100e6  # for the factors of one chunk; four times as much is no faster on laps, streets or chains
+MEMORY_BYTES = 100e6  # for the factors of one chunk of shifts: more is no faster below 25 000 vertices
+MEMORY_BYTES_PER_VERTEX = 4e3  # long chains would otherwise be left with chunks too small to be worth a call
 CACHE_BYTES = 4e6  # for the fronts that are worked on at once
 ONE_CALL = 300  # entries of a block up to which all shifts are indexed in one call
 INVERSE_BLOCK = 16  # above this size inverses are halved recursively: products are faster than LAPACK's inverse
@@ -129,7 +130,8 @@ def inverse_diagonals(entries: FrontEntries, shifts: ComplexArray) -> Iterator[t
         Which shifts these are.
     diagonals : (len(chunk), n) complex
     """
-    size = int(np.clip(MEMORY_BYTES // (16 * entries.tree.n_entries), 1, MAX_CHUNK))
+    memory = max(MEMORY_BYTES, MEMORY_BYTES_PER_VERTEX * entries.tree.n_vertices)
+    size = int(np.clip(memory // (16 * entries.tree.n_entries), 1, MAX_CHUNK))
     for start in range(0, len(shifts), size):
         chunk = slice(start, min(start + size, len(shifts)))
         yield chunk, inverse_diagonal(factorise(entries, shifts[chunk]))
