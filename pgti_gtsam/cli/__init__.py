@@ -8,6 +8,7 @@ import typer
 from rich.console import Console
 
 from pgti_gtsam.cli.audit import audit, view
+from pgti_gtsam.cli.gate import closures, gate
 from pgti_gtsam.errors import PgtiError
 
 app = typer.Typer(add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode=None)
@@ -18,7 +19,7 @@ def describe() -> None:
     """Is this map right, and where not? Pose-graph topological integrity of SLAM maps."""
 
 
-for _command in (audit, view):
+for _command in (audit, view, gate, closures):
     app.command()(_command)
 
 

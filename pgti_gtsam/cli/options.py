@@ -1,17 +1,22 @@
-"""What several commands share: options, the check of outputs, the bar."""
+"""What several commands share: options, reading, the check of outputs, the bar."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
+from itertools import combinations
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
+from pgti_gtsam import datasets
 from pgti_gtsam.adapter import EDGE_SOURCES
+from pgti_gtsam.adapter.values import read_keyframes
+from pgti_gtsam.dense_map import radii_from_cloud
 from pgti_gtsam.errors import InvalidOptionError
 
 File = Annotated[
@@ -20,6 +25,9 @@ File = Annotated[
         help="Map: g2o, TORO, GTSAM archive, KITTI stereo, CARMEN or FLIRTLib log. Default: KITTI 00 from GTSAM.",
         show_default=False,
     ),
+]
+Map = Annotated[
+    Path, typer.Argument(help="Map with loop closures: g2o, TORO, GTSAM archive or another that audit reads.")
 ]
 Values = Annotated[
     Path | None, typer.Option("--values", help="Archive of the values, where FILE is an archived graph.")
@@ -34,7 +42,54 @@ Edges = Annotated[
     ),
 ]
 MinShared = Annotated[int, typer.Option(help="Landmarks that two keyframes must share to be connected.")]
+Every = Annotated[int, typer.Option(help="Keep every so many-th pose as a keyframe, odometry composed; 1: all.")]
 Beta = Annotated[float, typer.Option(help="Share of the time scales that counts as local.")]
+
+
+def read_map(
+    file: Path | None, values: Path | None, radius: float | None, cloud: Path | None, every: int = 1
+) -> tuple[datasets.Dataset, Any]:
+    """The dataset of a file, thinned out if asked for, and its radii as `from_gtsam` takes them.
+
+    Raises
+    ------
+    InvalidOptionError
+        Both a radius and a cloud.
+    PgtiError
+        Those of reading, of `subsample` and of `radii_from_cloud`.
+    """
+    dataset = datasets.builtin() if file is None else datasets.read(file, values)
+    dataset = _thinned(dataset, every)
+    if cloud is None:
+        return dataset, radius if radius is not None else dataset.radii
+    if radius is not None:
+        raise InvalidOptionError("expected --radius or --cloud, got both")
+    keyframes = read_keyframes(dataset.values)
+    distances = radii_from_cloud(keyframes.positions, cloud)
+    return dataset, dict(zip(keyframes.keys.tolist(), distances.tolist(), strict=True))
+
+
+def _thinned(dataset: datasets.Dataset, every: int) -> datasets.Dataset:
+    kept = datasets.subsample(dataset, every)
+    lost = len(dataset.closures) - len(kept.closures)
+    if not lost:
+        return kept
+    return replace(kept, notes=(*kept.notes, f"{lost} closures went with the poses that were not kept (--every)"))
+
+
+def split_names(names: str | None) -> tuple[str, ...] | None:
+    """Names between commas."""
+    return None if names is None else tuple(name.strip() for name in names.split(","))
+
+
+def check_outputs(outputs: Iterable[Path | None], inputs: Iterable[Path | None]) -> None:
+    """Refuse outputs that cannot be written, that would overwrite what is read, or each other."""
+    named, read = ([path for path in paths if path is not None] for paths in (outputs, inputs))
+    for output in named:
+        check_output(output, read)
+    for one, other in combinations(named, 2):
+        if one.resolve() == other.resolve():
+            raise InvalidOptionError(f"expected a file for each output, got {one} for two; name another file")
 
 
 def check_output(output: Path | None, inputs: list[Path]) -> None:
@@ -59,3 +114,18 @@ def stages(count: int) -> Iterator[Callable[[str], None]]:
             progress.update(task, description=description, advance=1)
 
         yield stage
+
+
+@contextmanager
+def counted() -> Iterator[Callable[[str, int, int], None]]:
+    """A bar on standard error that is told what is done, and how much of how much; it vanishes when done."""
+    columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
+    console = Console(stderr=True)
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
+        task = progress.add_task("starting", total=None)
+
+        def tell(description: str, done: int, of: int) -> None:
+            shown = f"{description} {done} of {of}" if of > 1 else description
+            progress.update(task, description=shown, completed=done, total=of)
+
+        yield tell

@@ -1,8 +1,19 @@
-"""Factor graphs from files: one reader per format, the format found from the content."""
+"""Factor graphs from files: one reader per format, the format found from the content; and to g2o files."""
 
 from pgti_gtsam.datasets.chain import chain_odometry
 from pgti_gtsam.datasets.dataset import Dataset
+from pgti_gtsam.datasets.g2o_writer import Written, write_g2o
 from pgti_gtsam.datasets.reader import BUILTIN, builtin, read, read_carmen
 from pgti_gtsam.datasets.subsample import subsample
 
-__all__ = ["BUILTIN", "Dataset", "builtin", "chain_odometry", "read", "read_carmen", "subsample"]
+__all__ = [
+    "BUILTIN",
+    "Dataset",
+    "Written",
+    "builtin",
+    "chain_odometry",
+    "read",
+    "read_carmen",
+    "subsample",
+    "write_g2o",
+]

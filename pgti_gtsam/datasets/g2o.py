@@ -4,6 +4,7 @@ Lines that are read: ``VERTEX_SE2``, ``VERTEX_SE3:QUAT``, ``VERTEX_XY``, ``VERTE
 ``VERTEX_POINT_XYZ``), ``EDGE_SE2``, ``EDGE_SE3:QUAT``, ``EDGE_SE2_XY`` (also ``LANDMARK2``),
 ``EDGE_SE3_TRACKXYZ`` with its ``PARAMS_SE3OFFSET``, ``EDGE_SE3_PRIORXYZ``. ``FIX`` is a wish to the
 optimiser, not a factor. GTSAM's own reader drops LANDMARK2, EDGE_SE3_PRIORXYZ and refuses sensor offsets.
+A comment ``# 3 7 ROBUST Huber 1.345`` gives the edge on the next line a robust loss (see `losses`).
 
 Information matrices are taken as written, as GTSAM takes them. Two traps in them are the user's to judge:
 g2o counts the rotation of an EDGE_SE3:QUAT in the quaternion's vector part, four times the information of

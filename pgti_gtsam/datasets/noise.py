@@ -1,4 +1,4 @@
-"""Information matrices of text files as GTSAM noise models."""
+"""Information matrices of text files as GTSAM noise models, robust where a comment says so."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
+from pgti_gtsam.datasets.losses import losses
 from pgti_gtsam.datasets.text import LARGEST, Table, TextFile
 
 
@@ -35,7 +36,7 @@ def is_semidefinite(matrices: NDArray[np.float64]) -> NDArray[np.bool_]:
 
 
 def information_models(file: TextFile, table: Table, matrices: NDArray[np.float64]) -> list[gtsam.noiseModel.Base]:
-    """One Gaussian noise model per row of a table.
+    """One noise model per row of a table: Gaussian, and robust where a comment before its line names a loss.
 
     A singular matrix says nothing in some direction, as files do on purpose for what was not measured.
     GTSAM's ``Gaussian.Information`` would turn it into NaN, so it becomes the square root R with
@@ -51,7 +52,7 @@ def information_models(file: TextFile, table: Table, matrices: NDArray[np.float6
     Raises
     ------
     FileFormatError
-        A matrix has a negative eigenvalue.
+        A matrix has a negative eigenvalue, a comment half a loss.
     """
     unique, first, inverse = np.unique(matrices, axis=0, return_index=True, return_inverse=True)
     bad = first[~is_semidefinite(unique)]
@@ -61,7 +62,11 @@ def information_models(file: TextFile, table: Table, matrices: NDArray[np.float6
         message = f"expected a positive semidefinite information matrix, got one with eigenvalue {lowest:.6g}"
         raise file.error(message, table.lines[row])
     models = [_information_model(matrix) for matrix in unique]
-    return [models[i] for i in inverse.ravel().tolist()]
+    robust = losses(file)
+    return [
+        gtsam.noiseModel.Robust.Create(robust[line], models[i]) if line in robust else models[i]
+        for line, i in zip(table.lines.tolist(), inverse.ravel().tolist(), strict=True)
+    ]
 
 
 def _information_model(matrix: NDArray[np.float64]) -> gtsam.noiseModel.Base:

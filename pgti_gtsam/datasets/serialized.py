@@ -82,6 +82,11 @@ def read_values(path: Path) -> gtsam.Values:
     return _deserialize(path, text, gtsam.Values)
 
 
+def write_archive(written: gtsam.NonlinearFactorGraph | gtsam.Values, path: Path) -> None:
+    """Write a graph or values as ``gtsam::deserializeFromFile`` reads them; empty slots stay empty slots."""
+    path.write_text(written.serialize(), encoding="utf-8")
+
+
 def _refuse_xml(path: Path, text: str) -> None:
     if not text.lstrip()[:2].isdigit():
         raise FileFormatError(path, f"is an XML archive, expected a text archive; {ADVICE}")

@@ -46,11 +46,12 @@ class Table:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TextFile:
-    """The lines of a file, also grouped by their first field, the tag."""
+    """The lines of a file, also grouped by their first field, the tag; comments apart."""
 
     path: Path
     lines: Sequence[Line]
     tags: Mapping[str, Sequence[Line]]
+    comments: Sequence[Line] = ()
 
     @property
     def name(self) -> str:
@@ -106,13 +107,14 @@ def _read_bytes(path: Path) -> bytes:
 
 
 def split_lines(path: Path, text: str) -> TextFile:
-    """Lines of ``text`` without empty ones and ``#`` comments, grouped by tag."""
-    split = (Line(number, line.split()) for number, line in enumerate(text.split("\n"), 1))
+    """Lines of ``text`` without empty ones, grouped by tag, and ``#`` comments."""
+    split = [Line(number, line.split()) for number, line in enumerate(text.split("\n"), 1)]
     lines = [line for line in split if line.fields and not line.fields[0].startswith("#")]
+    comments = [line for line in split if line.fields and line.fields[0].startswith("#")]
     tags: dict[str, list[Line]] = {}
     for line in lines:
         tags.setdefault(line.fields[0], []).append(line)
-    return TextFile(path=path, lines=lines, tags=tags)
+    return TextFile(path=path, lines=lines, tags=tags, comments=comments)
 
 
 def parse_table(path: Path, lines: Sequence[Line], *, ids: int, widths: Collection[int], tagged: bool = True) -> Table:

@@ -1,8 +1,8 @@
-"""The terminal summary of an audit document."""
+"""What the terminal shows: the summary of an audit document, verdicts on closures."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from rich.console import Console, Group, RenderableType
@@ -10,7 +10,11 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
-MAX_PLACES = 8
+MAX_PLACES, MAX_CLOSURES = 8, 20
+WITNESSES = (
+    "Three witnesses, each in parts of its limit: how far the map bends for the closure, how much farther closures "
+    "miss with it, and how much more places touch that nothing connects."
+)
 _COLOURS = {"consistent": "green", "harmless": "green", "suspicious": "yellow", "broken": "red"}
 
 
@@ -151,3 +155,92 @@ def _ranges(indices: list[int], labels: list[str], most: int = 6) -> str:
             runs.append([i])
     words = [labels[run[0]] if len(run) == 1 else f"{labels[run[0]]}–{labels[run[-1]]}" for run in runs]
     return ", ".join(words[:most]) + (f" and {len(words) - most} more" if len(words) > most else "")
+
+
+def print_heading(name: str, what: str, notes: Sequence[str], console: Console) -> None:
+    """Print what was judged, and how to read the doubt behind each verdict."""
+    console.print(Text.assemble((name, "bold"), f": {what}"), soft_wrap=True)
+    for note in notes:
+        console.print(Text(f"note: {note}", style="dim"), soft_wrap=True)
+    console.print(Text("doubt adds up what speaks against a closure: beyond 1 it is rejected", style="dim"))
+    console.print()
+
+
+def print_decisions(records: Sequence[Mapping[str, Any]], console: Console) -> None:
+    """Print one line for each closure: verdict, keyframes, doubt, what is known of it, the gravest reason."""
+    pairs = [_pair(record) for record in records]
+    width = max(map(len, pairs), default=0)
+    for record, pair in zip(records, pairs, strict=True):
+        verdict = ("accepted", "green") if record["accepted"] else ("rejected", "red")
+        known = () if record["is_true"] is None else ("known ", _known(record), ": ")
+        doubt = f"  {pair:{width}}  doubt {_share(record['doubt']):>5}  "
+        console.print(Text.assemble(verdict, doubt, *known, _reason(record)), soft_wrap=True)
+
+
+def print_closures(records: Sequence[Mapping[str, Any]], console: Console) -> None:
+    """Print the closures with the largest doubt, given worst first, as a table: what makes up the doubt of each."""
+    table = Table(box=None, pad_edge=False, header_style="dim")
+    is_known = any(record["is_true"] is not None for record in records)
+    table.add_column("verdict")
+    for name in ("keyframes", "doubt", "= bends", "+ misses", "+ touches"):
+        table.add_column(name, justify="right", no_wrap=True)
+    if is_known:
+        table.add_column("known")
+    for record in records[:MAX_CLOSURES]:
+        shares = record["doubts"]
+        table.add_row(
+            Text("holds", style="green") if record["accepted"] else Text("doubtful", style="red"),
+            Text(_pair(record)),
+            _share(sum(shares.values())),
+            *(_share(shares[name]) for name in ("bending", "strain", "local_rise")),
+            _known(record),
+        )
+    if records:
+        console.print(table)
+        console.print(Text(WITNESSES, style="dim"))
+    if len(records) > MAX_CLOSURES:
+        console.print(Text(f"and {len(records) - MAX_CLOSURES} more, in the JSON (--json)", style="dim"))
+
+
+def print_tally(records: Sequence[Mapping[str, Any]], console: Console, *, seconds: float) -> None:
+    """Print how many closures passed, and of those that are known to be true or false how many rightly."""
+    passed = sum(record["accepted"] for record in records)
+    console.print()
+    console.print(Text(f"{len(records)} closures in {seconds:.1f} s: {passed} pass, {len(records) - passed} do not"))
+    for is_true, what, wanted in ((True, "true", "pass"), (False, "false", "do not")):
+        known = [record for record in records if record["is_true"] is is_true]
+        if known:
+            right = sum(record["accepted"] is is_true for record in known)
+            style = "green" if right == len(known) else "yellow"
+            console.print(Text(f"known to be {what}: {len(known)}, of which {right} {wanted}", style=style))
+
+
+def print_left_out(counts: Mapping[str, int], where: str, console: Console) -> None:
+    """Print what is missing somewhere, by kind."""
+    for what, count in counts.items():
+        console.print(Text(f"left out of {where}: {count} {what}", style="yellow"), soft_wrap=True)
+
+
+def _pair(record: Mapping[str, Any]) -> str:
+    (_, earlier), (_, later) = sorted(zip(record["keys"], record["keyframes"], strict=True))
+    return f"{earlier} – {later}"
+
+
+def _share(value: float | str) -> str:
+    return f"{value:.2f}" if isinstance(value, float) else str(value)
+
+
+def _known(record: Mapping[str, Any]) -> Text:
+    """Whether a closure is known to be true or false, marked where the verdict is another."""
+    if record["is_true"] is None:
+        return Text()
+    style = "" if record["is_true"] is record["accepted"] else "bold yellow"
+    return Text("true" if record["is_true"] else "false", style=style)
+
+
+def _reason(record: Mapping[str, Any]) -> str:
+    """The gravest reason, how many more there are, and how many closures it was given with."""
+    first, more = str(record["reasons"][0]), record["reasons"][1:]
+    others = len(record["judged_with"])
+    together = f", together with {others} other{'s' if others > 1 else ''} of its revisit" if others else ""
+    return first + (f" (+{len(more)} more)" if more else "") + together

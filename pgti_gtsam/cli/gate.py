@@ -1,0 +1,233 @@
+"""`pgti-gtsam gate` and `closures`: sift the loop closures of a graph, or judge those of a finished map."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+
+from pgti_gtsam.adapter import MIN_SHARED_LANDMARKS, from_gtsam
+from pgti_gtsam.cli.options import (
+    Cloud,
+    Edges,
+    Every,
+    Map,
+    MinShared,
+    Radius,
+    Values,
+    check_outputs,
+    counted,
+    read_map,
+    split_names,
+)
+from pgti_gtsam.datasets import Dataset, serialized, write_g2o
+from pgti_gtsam.errors import InvalidOptionError
+from pgti_gtsam.gate import ClosureDecision, GatedGraph, GateOptions, LoopClosureGate, gate_graph
+from pgti_gtsam.gate.batch import closure_ends
+from pgti_gtsam.gate.evidence import Change
+from pgti_gtsam.gate.trial import joined, optimised
+from pgti_gtsam.integrity import assess
+from pgti_gtsam.pose_graph import PoseGraph
+from pgti_gtsam.report.decisions import closures_document, decision_records, worst_first, write_json_lines
+from pgti_gtsam.report.document import write_json
+from pgti_gtsam.report.terminal import print_closures, print_decisions, print_heading, print_left_out, print_tally
+
+Tell = Callable[[str, int, int], None]
+
+
+def gate(
+    file: Map,
+    values: Values = None,
+    radius: Radius = None,
+    cloud: Cloud = None,
+    edges: Edges = None,
+    min_shared_landmarks: MinShared = MIN_SHARED_LANDMARKS,
+    every: Every = 1,
+    decisions: Annotated[Path | None, typer.Option(help="Write every decision, a JSON object a line.")] = None,
+    scores: Annotated[bool, typer.Option("--scores", help="Add Λ and Λ_glob before and after; slow.")] = False,
+    out: Annotated[
+        Path | None, typer.Option(help="Write the gated graph: g2o, or an archive where FILE is one.")
+    ] = None,
+    out_values: Annotated[
+        Path | None, typer.Option(help="Write the gated graph's optimum, where FILE is an archive.")
+    ] = None,
+) -> None:
+    """Judge the loop closures of a graph as they came, and write the graph without those that fail."""
+    check_outputs([decisions, out, out_values], [file, values, cloud])
+    if scores and decisions is None:
+        raise InvalidOptionError("expected --decisions PATH with --scores, which adds to it, got --scores alone")
+    started = time.perf_counter()
+    with counted() as tell:
+        tell("reading", 0, 1)
+        dataset, radii = read_map(file, values, radius, cloud, every)
+        if out_values is not None and dataset.format != serialized.FORMAT:
+            raise InvalidOptionError(f"expected --out-values with a GTSAM archive, got {dataset.format}: use --out")
+        gated = gate_graph(
+            dataset.graph,
+            dataset.values,
+            radii,
+            gate=_gate(edges, min_shared_landmarks),
+            progress=lambda done, of: tell("judging closures", done, of),
+        )
+        measured = _scores(gated.decisions, tell) if scores else None
+        records = decision_records(
+            gated.decisions,
+            _ends(dataset, gated.decisions),
+            true_closures=dataset.true_closures,
+            evidence=decisions is not None,
+            scores=measured,
+        )
+        unwritten = _write_gated(dataset, gated, out, out_values)
+        if decisions is not None:
+            write_json_lines(records, decisions)
+    console = Console(highlight=False)
+    print_heading(dataset.name, f"{len(records)} loop closures, each judged when it came", dataset.notes, console)
+    print_decisions(records, console)
+    print_tally(records, console, seconds=time.perf_counter() - started)
+    print_left_out(unwritten, "the gated graph's file", console)
+    _print_paths({"decisions": decisions, "gated graph": out, "its values": out_values}, console)
+
+
+def closures(
+    file: Map,
+    values: Values = None,
+    radius: Radius = None,
+    cloud: Cloud = None,
+    edges: Edges = None,
+    min_shared_landmarks: MinShared = MIN_SHARED_LANDMARKS,
+    every: Every = 1,
+    json: Annotated[Path | None, typer.Option(help="Write every closure with its evidence to this JSON file.")] = None,
+) -> None:
+    """Judge each loop closure of a finished map against the map with all the others, worst first.
+
+    A closure is taken out, the map brought to its optimum without it, and the closure offered to the gate.
+    False closures that agree vouch for each other here, and many tear the map for all: those are for `gate`.
+    """
+    check_outputs([json], [file, values, cloud])
+    started = time.perf_counter()
+    with counted() as tell:
+        tell("reading", 0, 1)
+        dataset, radii = read_map(file, values, radius, cloud, every)
+        judged, alone = judge_each(dataset, radii, _gate(edges, min_shared_landmarks), tell)
+        records = decision_records(judged, _ends(dataset, judged), true_closures=dataset.true_closures)
+        if json is not None:
+            options = {
+                "radius": radius,
+                "cloud": None if cloud is None else cloud.name,
+                "edges": split_names(edges),
+                "min_shared_landmarks": min_shared_landmarks,
+                "every": every,
+            }
+            document = closures_document(
+                records,
+                name=dataset.name,
+                file_format=dataset.format,
+                notes=dataset.notes,
+                options=options,
+                unjudged=list(_ends(dataset, alone).values()),
+            )
+            write_json(document, json)
+    console = Console(highlight=False)
+    print_heading(dataset.name, f"{len(records)} loop closures, each against all others", dataset.notes, console)
+    print_closures(worst_first(records), console)
+    print_tally(records, console, seconds=time.perf_counter() - started)
+    if alone:
+        print_left_out({"closures, on each of which a keyframe hangs alone": len(alone)}, "the judgement", console)
+    _print_paths({"JSON": json}, console)
+
+
+def judge_each(
+    dataset: Dataset, radii: Any, judge: LoopClosureGate, tell: Tell
+) -> tuple[dict[int, ClosureDecision], list[int]]:
+    """Leave one out: every closure against the map with all the others, by slot.
+
+    The whole map is brought to its optimum once, from where every map without one closure starts.
+
+    Returns
+    -------
+    decisions : dict of int to ClosureDecision
+    alone : list of int
+        Slots of closures on which a keyframe hangs alone: the map cannot be had without them.
+    """
+    options = judge.options
+    pose_graph = from_gtsam(
+        dataset.graph,
+        dataset.values,
+        radii=radii,
+        edges=options.edges,
+        min_shared_landmarks=options.min_shared_landmarks,
+    )
+    slots = list(closure_ends(pose_graph, dataset.graph))
+    best = optimised(dataset.graph, dataset.values) if slots else dataset.values
+    decisions, alone = {}, []
+    for done, slot in enumerate(slots):
+        tell("judging closures", done, len(slots))
+        closure, rest = joined(), joined(dataset.graph)
+        closure.push_back(dataset.graph.at(slot))
+        rest.remove(slot)
+        if set(rest.keyVector()).issuperset(closure.keyVector()):
+            decisions[slot] = judge.evaluate(rest, best, closure, radii)
+        else:
+            alone.append(slot)
+    return decisions, alone
+
+
+def _gate(edges: str | None, min_shared_landmarks: int) -> LoopClosureGate:
+    return LoopClosureGate(options=GateOptions(edges=split_names(edges), min_shared_landmarks=min_shared_landmarks))
+
+
+def _ends(dataset: Dataset, slots: Any) -> dict[int, list[int]]:
+    """Keys of the keyframes of every closure, by slot."""
+    return {slot: list(dataset.graph.at(slot).keys()) for slot in slots}
+
+
+def _scores(decisions: Mapping[int, ClosureDecision], tell: Tell) -> dict[int, dict[str, Change]]:
+    """Λ and Λ_glob before and after every closure, by slot.
+
+    Computed here and not by the decisions, which would keep every signature: gigabytes on a long map.
+    """
+    found: dict[int, tuple[float, float]] = {}
+
+    def of(pose_graph: PoseGraph, beta: float) -> tuple[float, float]:
+        if id(pose_graph) not in found:
+            integrity = assess(pose_graph, beta=beta)
+            found[id(pose_graph)] = integrity.score, integrity.split(beta).global_
+        return found[id(pose_graph)]
+
+    changes = {}
+    for done, (slot, decision) in enumerate(decisions.items()):
+        tell("scoring closures", done, len(decisions))
+        maps = (decision.survey.pose_graph, decision.pose_graph)
+        (score, global_), (new_score, new_global) = (of(each, decision.options.beta) for each in maps)
+        changes[slot] = {
+            "score": Change(before=score, after=new_score),
+            "global_score": Change(before=global_, after=new_global),
+        }
+    return changes
+
+
+def _write_gated(dataset: Dataset, gated: GatedGraph, out: Path | None, out_values: Path | None) -> Mapping[str, int]:
+    """Write the gated graph in the kind of format that it came in; returns what could not be written."""
+    if out_values is not None:
+        serialized.write_archive(gated.values, out_values)
+    if out is None:
+        return {}
+    if dataset.format == serialized.FORMAT:
+        serialized.write_archive(gated.graph, out)
+        return {}
+    written = write_g2o(gated.graph, gated.values, out)
+    own = {
+        "keys, which comments at its end name instead": len(written.renumbered),
+        "radii, which g2o has no word for": len(dataset.radii or ()),
+    }
+    return {**written.unwritten, **{what: count for what, count in own.items() if count}}
+
+
+def _print_paths(paths: Mapping[str, Path | None], console: Console) -> None:
+    for what, path in paths.items():
+        if path is not None:
+            console.print(f"{what}: ", path, sep="", style="dim", markup=False, soft_wrap=True)

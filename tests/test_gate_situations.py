@@ -1,0 +1,170 @@
+"""The gate in situations of its own, each with its verdict: far, in space, at the ends, singular, refused."""
+
+import gtsam
+import numpy as np
+import pytest
+from streets import RADIUS, STEP, between, block, driven, ramp, straight, turn
+
+from pgti_gtsam.errors import InvalidClosureError, UnusedValueError
+from pgti_gtsam.gate.batch import gate_graph
+from pgti_gtsam.gate.closure_gate import LoopClosureGate
+
+GATE = LoopClosureGate()
+LAP = 4 * 32  # steps around a block of 60 m
+NOWHERE, NOWHERE_3D = gtsam.Pose2(), gtsam.Pose3()
+
+
+def judged(world, closure, radii=RADIUS):
+    return GATE.evaluate(world.graph, world.values, closure, radii)
+
+
+def in_space(steps, climb=0.0):
+    """Planar steps as steps in space, each of which climbs a little."""
+    return [
+        gtsam.Pose3(gtsam.Rot3.Yaw(step.theta()), [step.x(), step.y(), climb]) if climb else gtsam.Pose3(step)
+        for step in steps
+    ]
+
+
+@pytest.fixture(scope="module")
+def lap():
+    return driven(block(60) + straight(20), bias=0.003, noise=0.005)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_first_contact_after_a_kilometre_of_drift(seed):
+    """The estimate has left the place by several radii; a match of another place must not pass for it."""
+    side = 250
+    world = driven(block(side) + straight(20), bias=0.0005, noise=0.003, seed=seed)
+    lap = 4 * (round(side / STEP) + 2)
+    off = np.linalg.norm(world.values.atPose2(lap + 4).translation() - world.truth[lap + 4].translation())
+    assert off > 2 * RADIUS
+    assert judged(world, world.closure(4, lap + 4)).accepted
+    assert not judged(world, world.closure(60, lap + 4, NOWHERE)).accepted
+    assert not judged(world, world.closure(40, 300, NOWHERE)).accepted
+
+
+def test_second_pass_in_space():
+    world = driven(in_space(block(60, times=2)), bias=0.002, noise=0.003)
+    world.graph.push_back(world.closure(4, 4 + LAP))
+    assert judged(world, world.closure(40, 40 + LAP)).accepted
+    assert not judged(world, world.closure(20, 40 + LAP, NOWHERE_3D)).accepted
+
+
+def test_crossing_in_space():
+    right = turn(-np.pi / 2)
+    steps = [*straight(60), *right, *straight(30), *right, *straight(30), *right, *straight(70)]
+    world = driven(in_space(steps), noise=0.003)
+    assert judged(world, world.closure(15, 82)).accepted
+    assert not judged(world, world.closure(15, 70, NOWHERE_3D)).accepted
+
+
+# What the gate cannot tell: with the bridge pulled down onto the road, free space is that of a crossing, and over
+# 134 m of way poor odometry may well drift by ten metres, three radii. Only a later closure could contradict it.
+@pytest.mark.parametrize(("height", "accepted"), [(10, True), (20, False), (40, False)])
+def test_a_bridge_is_no_crossing_unless_drift_may_be_as_high(height, accepted):
+    right = turn(-np.pi / 2)
+    steps = [*straight(60), *right, *straight(30), *right, *straight(30), *right, *straight(70)]
+    world = driven(in_space(steps, climb=height / 67), noise=0.003)
+    gap = world.truth[82].translation() - world.truth[15].translation()
+    assert gap[2] == pytest.approx(height, abs=0.1)
+    decision = judged(world, world.closure(15, 82, gtsam.Pose3(gtsam.Rot3.Yaw(np.pi / 2), np.zeros(3))))
+    assert decision.accepted is accepted
+
+
+def test_opposite_direction_in_space():
+    world = driven(in_space(straight(80) + turn(np.pi) + straight(80)), noise=0.003)
+    last = len(world.truth) - 1
+    assert judged(world, world.closure(5, last - 5)).accepted
+    assert not judged(world, world.closure(25, last - 5, gtsam.Pose3(gtsam.Rot3.Yaw(np.pi), np.zeros(3)))).accepted
+
+
+def test_second_pass_of_one_floor_of_several():
+    """Up the ramp, and around on the top floor again: the top matches itself, and not the floor below."""
+    lap = 4 * 22
+    world = driven(ramp(40, 3.0, 2) + ramp(40, 0.0, 2), noise=0.002)
+    same, below = 2 * lap + 5, lap + 5
+    assert judged(world, world.closure(same, same + lap), 1.2).accepted
+    assert not judged(world, world.closure(below, same + lap, NOWHERE_3D), 1.2).accepted
+
+
+@pytest.mark.parametrize("ends", [(0, LAP), (0, LAP + 10), (10, LAP + 10)])
+def test_closures_at_the_first_and_at_the_last_keyframe(lap, ends):
+    assert ends[1] <= len(lap.truth) - 1
+    assert judged(lap, lap.closure(*ends)).accepted
+
+
+def test_a_closure_to_the_last_keyframe_of_a_dead_end():
+    """Nothing is behind the last keyframe that could touch anything: its false match still bends the map."""
+    world = driven(straight(100), noise=0.005)
+    last = len(world.truth) - 1
+    assert not judged(world, world.closure(last - 20, last, NOWHERE)).accepted
+
+
+def test_a_closure_that_repairs_a_collision_in_a_whole_graph():
+    """The way back lies on the way out until the closure comes: it is accepted, in time order as well."""
+    world = driven(straight(60) + turn(np.pi / 2) + straight(8) + turn(np.pi / 2) + straight(60), bias=0.005)
+    graph = gtsam.NonlinearFactorGraph(world.graph)
+    graph.push_back(world.closure(2, len(world.truth) - 3).at(0))
+    gated = gate_graph(graph, world.values, RADIUS)
+    assert gated.accepted == (graph.size() - 1,)
+    decision = gated.decisions[graph.size() - 1]
+    assert decision.evidence.overlaps.rise < 0
+
+
+def test_a_duplicate_of_odometry_that_closes_nothing(lap):
+    """A factor that odometry has already: nothing changes, and no overlap is explained by it."""
+    closure = gtsam.NonlinearFactorGraph()
+    closure.push_back(lap.graph.at(7))
+    decision = judged(lap, closure)
+    assert decision.accepted
+    assert decision.evidence.overlaps.rise == 0
+    assert decision.evidence.bending < 0.1
+
+
+def test_a_closure_twice_in_one(lap):
+    """Two factors of one closure say one thing: as one of them alone."""
+    twice = lap.closure(4, 4 + LAP)
+    twice.push_back(lap.closure(4, 4 + LAP).at(0))
+    assert judged(lap, twice).accepted
+
+
+@pytest.mark.parametrize(
+    ("ends", "measured", "accepted"),
+    [((4, 4 + LAP), None, True), ((4, 70), NOWHERE, False), ((20, LAP + 4), NOWHERE, False)],
+)
+def test_a_singular_map_without_a_prior_is_judged_all_the_same(lap, ends, measured, accepted):
+    """Nothing measures the length of one step: it stays what the estimate says until a closure tells."""
+    root = gtsam.noiseModel.Gaussian.SqrtInformation(np.diag([0.0, 20.0, 100.0]), False)
+    graph = gtsam.NonlinearFactorGraph(lap.graph)
+    graph.replace(60, lap.graph.at(60).cloneWithNewNoiseModel(root))
+    assert GATE.evaluate(graph, lap.values, lap.closure(*ends, measured), RADIUS).accepted is accepted
+
+
+def test_a_keyframe_that_nothing_ties(lap):
+    values = gtsam.Values(lap.values)
+    values.insert(999, gtsam.Pose2(500, 0, 0))
+    with pytest.raises(UnusedValueError, match="999"):
+        GATE.evaluate(lap.graph, values, lap.closure(4, 4 + LAP), RADIUS)
+
+
+BAD = {
+    "empty": (lambda w: gtsam.NonlinearFactorGraph(), "at least one factor"),
+    "unknown key": (lambda w: one(between(3, 4711, NOWHERE)), "4711"),
+    "no number": (lambda w: w.closure(3, 80, gtsam.Pose2(np.nan, 0, 0)), "finite"),
+}
+
+
+def one(factor):
+    closure = gtsam.NonlinearFactorGraph()
+    closure.push_back(factor)
+    return closure
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_one_bad_closure_among_good_ones_is_refused_before_any_is_judged(lap, name):
+    make, words = BAD[name]
+    closures = [lap.closure(4, 4 + LAP), make(lap)]
+    for judge in (GATE.evaluate_many, GATE.evaluate_group):
+        with pytest.raises(InvalidClosureError, match=words):
+            judge(lap.graph, lap.values, closures, RADIUS)
