@@ -356,9 +356,15 @@ def test_a_keyframe_that_only_closures_tie(lap):
 
 def test_revisits():
     ends = [(10, 100), (11, 101), (50, 102), (13, 104), (13, 160), (14, 161)]
-    assert revisits(ends) == [[2], [0, 1, 3], [4, 5]]
-    assert revisits([(20, 80), (19, 81), (18, 82)]) == [[0, 1, 2]]  # the other direction
-    assert revisits([]) == []
+    sparse = 10.0 * np.arange(400)
+    assert revisits(ends, sparse) == [[2], [0, 1, 3], [4, 5]]
+    assert revisits([(20, 80), (19, 81), (18, 82)], sparse) == [[0, 1, 2]]  # the other direction
+    assert revisits([], sparse) == []
+
+
+def test_a_revisit_is_told_by_the_way_where_keyframes_are_dense():
+    dense = 0.1 * np.arange(400)
+    assert revisits([(20, 280), (60, 320), (111, 371)], dense) == [[0, 1], [2]]
 
 
 @pytest.mark.parametrize(

@@ -4,17 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 from rich.console import Console
 
-from pgti_gtsam import datasets
 from pgti_gtsam.adapter import MIN_SHARED_LANDMARKS, from_gtsam
-from pgti_gtsam.adapter.values import read_keyframes
-from pgti_gtsam.cli.options import Beta, Cloud, Edges, File, MinShared, Radius, Values, check_output, stages
-from pgti_gtsam.dense_map import radii_from_cloud
-from pgti_gtsam.errors import InvalidOptionError
+from pgti_gtsam.cli.options import (
+    Beta,
+    Cloud,
+    Edges,
+    File,
+    MinShared,
+    Radius,
+    Values,
+    check_outputs,
+    read_map,
+    split_names,
+    stages,
+)
 from pgti_gtsam.integrity import assess
 from pgti_gtsam.pose_graph import PoseGraph
 from pgti_gtsam.report import scene
@@ -36,9 +44,7 @@ def audit(
     fail_above: Annotated[float | None, typer.Option(help="Exit with code 1 if Λ is above this.")] = None,
 ) -> None:
     """Score a map, and name the places where its pose graph disagrees with its free space."""
-    inputs = [path for path in (file, values, cloud) if path is not None]
-    for output in (json, html):
-        check_output(output, inputs)
+    check_outputs([json, html], [file, values, cloud])
     with stages(5) as stage:
         document = _audit(file, values, radius, cloud, edges, min_shared_landmarks, beta, stage)
         if json is not None:
@@ -68,7 +74,7 @@ def view(
     png: Annotated[Path | None, typer.Option(help="Render to this file instead of opening a window.")] = None,
 ) -> None:
     """Show the scored map in 3D (needs Open3D)."""
-    check_output(png, [path for path in (file, values, cloud) if path is not None])
+    check_outputs([png], [file, values, cloud])
     with stages(4) as stage:
         document = _audit(file, values, radius, cloud, edges, min_shared_landmarks, beta, stage)
         if png is not None:
@@ -90,20 +96,13 @@ def _audit(
 ) -> Document:
     """Read, adapt, assess: numbered steps of every command that scores a map."""
     stage("reading")
-    dataset = datasets.builtin() if file is None else datasets.read(file, values)
+    dataset, radii = read_map(file, values, radius, cloud)
     stage("adapting")
-    radii: Any = radius if radius is not None else dataset.radii
-    if cloud is not None:
-        if radius is not None:
-            raise InvalidOptionError("expected --radius or --cloud, got both")
-        keyframes = read_keyframes(dataset.values)
-        distances = radii_from_cloud(keyframes.positions, cloud)
-        radii = dict(zip(keyframes.keys.tolist(), distances.tolist(), strict=True))
     pose_graph: PoseGraph = from_gtsam(
         dataset.graph,
         dataset.values,
         radii=radii,
-        edges=None if edges is None else [name.strip() for name in edges.split(",")],
+        edges=split_names(edges),
         min_shared_landmarks=min_shared_landmarks,
     )
     stage(f"spectra of {len(pose_graph)} keyframes")

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 
-from pgti_gtsam.adapter import MIN_SHARED_LANDMARKS, from_gtsam
+from pgti_gtsam.adapter import MIN_SHARED_LANDMARKS
 from pgti_gtsam.cli.options import (
     Cloud,
     Edges,
@@ -27,9 +27,8 @@ from pgti_gtsam.cli.options import (
 from pgti_gtsam.datasets import Dataset, serialized, write_g2o
 from pgti_gtsam.errors import InvalidOptionError
 from pgti_gtsam.gate import ClosureDecision, GatedGraph, GateOptions, LoopClosureGate, gate_graph
-from pgti_gtsam.gate.batch import closure_ends
+from pgti_gtsam.gate.batch import leave_one_out
 from pgti_gtsam.gate.evidence import Change
-from pgti_gtsam.gate.trial import joined, optimised
 from pgti_gtsam.integrity import assess
 from pgti_gtsam.pose_graph import PoseGraph
 from pgti_gtsam.report.decisions import closures_document, decision_records, worst_first, write_json_lines
@@ -112,7 +111,13 @@ def closures(
     with counted() as tell:
         tell("reading", 0, 1)
         dataset, radii = read_map(file, values, radius, cloud, every)
-        judged, alone = judge_each(dataset, radii, _gate(edges, min_shared_landmarks), tell)
+        judged, alone = leave_one_out(
+            dataset.graph,
+            dataset.values,
+            radii,
+            gate=_gate(edges, min_shared_landmarks),
+            progress=lambda done, of: tell("judging closures", done, of),
+        )
         records = decision_records(judged, _ends(dataset, judged), true_closures=dataset.true_closures)
         if json is not None:
             options = {
@@ -138,42 +143,6 @@ def closures(
     if alone:
         print_left_out({"closures, on each of which a keyframe hangs alone": len(alone)}, "the judgement", console)
     _print_paths({"JSON": json}, console)
-
-
-def judge_each(
-    dataset: Dataset, radii: Any, judge: LoopClosureGate, tell: Tell
-) -> tuple[dict[int, ClosureDecision], list[int]]:
-    """Leave one out: every closure against the map with all the others, by slot.
-
-    The whole map is brought to its optimum once, from where every map without one closure starts.
-
-    Returns
-    -------
-    decisions : dict of int to ClosureDecision
-    alone : list of int
-        Slots of closures on which a keyframe hangs alone: the map cannot be had without them.
-    """
-    options = judge.options
-    pose_graph = from_gtsam(
-        dataset.graph,
-        dataset.values,
-        radii=radii,
-        edges=options.edges,
-        min_shared_landmarks=options.min_shared_landmarks,
-    )
-    slots = list(closure_ends(pose_graph, dataset.graph))
-    best = optimised(dataset.graph, dataset.values) if slots else dataset.values
-    decisions, alone = {}, []
-    for done, slot in enumerate(slots):
-        tell("judging closures", done, len(slots))
-        closure, rest = joined(), joined(dataset.graph)
-        closure.push_back(dataset.graph.at(slot))
-        rest.remove(slot)
-        if set(rest.keyVector()).issuperset(closure.keyVector()):
-            decisions[slot] = judge.evaluate(rest, best, closure, radii)
-        else:
-            alone.append(slot)
-    return decisions, alone
 
 
 def _gate(edges: str | None, min_shared_landmarks: int) -> LoopClosureGate:

@@ -86,16 +86,13 @@ def check_outputs(outputs: Iterable[Path | None], inputs: Iterable[Path | None])
     """Refuse outputs that cannot be written, that would overwrite what is read, or each other."""
     named, read = ([path for path in paths if path is not None] for paths in (outputs, inputs))
     for output in named:
-        check_output(output, read)
+        _check_output(output, read)
     for one, other in combinations(named, 2):
         if one.resolve() == other.resolve():
             raise InvalidOptionError(f"expected a file for each output, got {one} for two; name another file")
 
 
-def check_output(output: Path | None, inputs: list[Path]) -> None:
-    """Refuse an output that cannot be written, or that would overwrite what is read."""
-    if output is None:
-        return
+def _check_output(output: Path, inputs: list[Path]) -> None:
     if any(path.exists() and output.exists() and path.samefile(output) for path in inputs):
         raise InvalidOptionError(f"expected an output of its own, got the input {output}; name another file")
     if output.is_dir() or not output.parent.is_dir():

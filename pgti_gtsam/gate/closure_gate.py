@@ -10,6 +10,7 @@ from functools import cached_property
 import gtsam
 import numpy as np
 
+from pgti_gtsam.adapter import from_gtsam
 from pgti_gtsam.gate.attempt import Attempt
 from pgti_gtsam.gate.evidence import Change, Evidence, Seconds
 from pgti_gtsam.gate.rules import (
@@ -133,6 +134,13 @@ class LoopClosureGate:
     """Judges loop closures by what they do to free space. It holds options, and no state."""
 
     options: GateOptions = field(default_factory=GateOptions)
+
+    def adapted(self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, radii: Radii | None = None) -> PoseGraph:
+        """A map as the gate reads it: `from_gtsam` with the gate's options."""
+        options = self.options
+        return from_gtsam(
+            graph, values, radii=radii, edges=options.edges, min_shared_landmarks=options.min_shared_landmarks
+        )
 
     def survey(self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, radii: Radii | None = None) -> Survey:
         """The map before any candidate, for `judge`: worth keeping where several are weighed against it.

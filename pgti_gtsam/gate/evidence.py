@@ -141,6 +141,12 @@ def free_space_unit(pose_graph: PoseGraph) -> float:
     return float(np.median(positive))
 
 
+def travelled(pose_graph: PoseGraph) -> NDArray[np.float64]:
+    """Way along the track to every keyframe, in the order of the keys, in ρ: (n,)."""
+    steps = np.linalg.norm(np.diff(pose_graph.positions, axis=0), axis=1)
+    return np.concatenate([[0.0], np.cumsum(steps)]) / free_space_unit(pose_graph)
+
+
 def contacts(pose_graph: PoseGraph) -> Contacts:
     """Connected and merged pairs, with explained overlaps among the connected."""
     n = len(pose_graph)

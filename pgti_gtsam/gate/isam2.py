@@ -11,6 +11,7 @@ from pgti_gtsam.adapter.values import read_keyframes
 from pgti_gtsam.errors import InvalidClosureError, InvalidOptionError, UnsolvableGraphError
 from pgti_gtsam.gate.batch import judge_all
 from pgti_gtsam.gate.closure_gate import ClosureDecision, GroupDecision, LoopClosureGate
+from pgti_gtsam.gate.evidence import travelled
 from pgti_gtsam.gate.past import Past
 from pgti_gtsam.gate.revisits import revisits
 from pgti_gtsam.gate.survey import Radii
@@ -306,7 +307,8 @@ class GatedISAM2:
         """Numbers of the closures of every revisit of which at least one is in."""
         ends = self._ends()
         numbers = list(ends)
-        groups = [[numbers[k] for k in group] for group in revisits(list(ends.values()))]
+        way = travelled(self.gate.adapted(self.smoother.getFactorsUnsafe(), self.estimate(), self.radii))
+        groups = [[numbers[k] for k in group] for group in revisits(list(ends.values()), way)]
         return [group for group in groups if any(self._offers[number].slots for number in group)]
 
     def _ends(self) -> dict[int, tuple[int, int]]:

@@ -22,7 +22,9 @@ class Past:
 
     Attributes
     ----------
+    graph : gtsam.NonlinearFactorGraph
     factors : list
+        Those of the graph, empty slots left out.
     since : (f,) int
         Place of the last keyframe of every factor.
     values : gtsam.Values
@@ -35,6 +37,7 @@ class Past:
         As in `from_gtsam`.
     """
 
+    graph: gtsam.NonlinearFactorGraph
     factors: list[Any]
     since: NDArray[np.int64]
     values: gtsam.Values
@@ -58,7 +61,15 @@ class Past:
         for factor, time in zip(factors, since, strict=True):
             for key in keys_of(factor):
                 first_seen[key] = place.get(key, min(time, first_seen.get(key, time)))
-        return cls(factors=factors, since=np.array(since), values=values, first_seen=first_seen, keys=keys, radii=radii)
+        return cls(
+            graph=graph,
+            factors=factors,
+            since=np.array(since),
+            values=values,
+            first_seen=first_seen,
+            keys=keys,
+            radii=radii,
+        )
 
     def until(self, last: int, known: gtsam.Values) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values, Radii | None]:
         """Factors, values and radii of the map up to a keyframe.

@@ -4,36 +4,47 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+from numpy.typing import NDArray
+
 WINDOW = 5
 """Keyframes, at either end, between one match of a revisit and the next: a detector misses a few in between."""
 
+REACH = 5.0
+"""The same in ρ travelled, where keyframes lie denser than one a free radius. Five keyframes of KITTI, one every half
+second, are about that far apart."""
 
-def revisits(ends: Sequence[tuple[int, int]], window: int = WINDOW) -> list[list[int]]:
+
+def revisits(
+    ends: Sequence[tuple[int, int]], travelled: NDArray[np.float64], window: int = WINDOW, reach: float = REACH
+) -> list[list[int]]:
     """Group closures by revisit.
 
-    A closure joins the latest revisit whose last match it follows within `window` keyframes at both
-    ends, in either direction of travel; else it opens a revisit of its own.
+    A closure joins the latest revisit whose last match it follows within `window` keyframes or `reach`, whichever is
+    farther, at both ends, in either direction of travel; else it opens a revisit of its own.
 
     Parameters
     ----------
     ends : sequence of (int, int)
         Earlier and later keyframe of every closure, as places on the track.
+    travelled : (n,) float
+        Way along the track to every place, in ρ, ascending.
     window : int
+    reach : float
 
     Returns
     -------
     list of list of int
         Places in `ends`, by time of the later keyframe; revisits by that of their last match.
     """
+
+    def near(one: int, other: int) -> bool:
+        return abs(one - other) <= window or abs(travelled[one] - travelled[other]) <= reach
+
     found: list[list[int]] = []
     for k in sorted(range(len(ends)), key=lambda k: (ends[k][1], ends[k][0])):
         early, late = ends[k]
-        near = (
-            group
-            for group in reversed(found)
-            if late - ends[group[-1]][1] <= window and abs(early - ends[group[-1]][0]) <= window
-        )
-        group = next(near, None)
+        group = next((g for g in reversed(found) if near(late, ends[g[-1]][1]) and near(early, ends[g[-1]][0])), None)
         if group is None:
             found.append([k])
         else:

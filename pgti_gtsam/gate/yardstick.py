@@ -94,7 +94,7 @@ class Yardstick:
         graph = joined(self.edges, pulls)
         held = still_held(self.held, graph, self.poses)
         linear = self._linear_bending(joined(pulls, held))
-        if not EASY < linear < HOPELESS:
+        if linear is not None and not EASY < linear < HOPELESS:
             return linear
         bent = optimised(graph, self.poses, held=held, max_iterations=MAX_ITERATIONS, tolerance=PRECISION)
         return self._root_energy(2 * graph.error(bent))
@@ -103,12 +103,15 @@ class Yardstick:
         """Bending that the caller's optimum shows: √(E / d) of the map's edges alone."""
         return self._root_energy(2 * self.edges.error(poses_of(after)))
 
-    def _linear_bending(self, pulls: gtsam.NonlinearFactorGraph) -> float:
-        """Bending by one linear step from rest."""
+    def _linear_bending(self, pulls: gtsam.NonlinearFactorGraph) -> float | None:
+        """Bending by one linear step from rest; None where a chain is so long that its elimination loses all digits."""
         linear = gtsam.GaussianFactorGraph()
         linear.push_back(self.at_rest)
         linear.push_back(pulls.linearize(self.poses))
-        return self._root_energy(2 * linear.error(linear.optimize()))
+        try:
+            return self._root_energy(2 * linear.error(linear.optimize()))
+        except RuntimeError:  # GTSAM's IndeterminantLinearSystemException; Levenberg-Marquardt damps it away
+            return None
 
     def votes(self, closures: Sequence[gtsam.NonlinearFactorGraph]) -> NDArray[np.int64]:
         """How many of some closures each agrees with, itself included, (k,).
