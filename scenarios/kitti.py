@@ -1,0 +1,179 @@
+"""Real false closures: KITTI with the loops that DLoopDetector reported, through the gate with its defaults.
+
+Every fifth frame is a keyframe, as for the detector, and 4 m around each are assumed free, which suits the roads.
+"""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import gtsam
+import numpy as np
+from evo.core import metrics, trajectory
+
+import pgti_gtsam as pgti
+from pgti_gtsam import datasets
+from pgti_gtsam.datasets import Dataset
+from pgti_gtsam.errors import InvalidOptionError
+from pgti_gtsam.gate.trial import optimised
+
+EVERY, RADIUS_M = 5, 4.0
+TRUE_ACCEPTED, FALSE_ACCEPTED = 0.98, 0.02
+"""Least share of true and largest of false closures accepted with which a sequence passes."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Row:
+    """What the gate made of one file, or of all files of a sequence.
+
+    `ate_m` is the absolute trajectory error against the ground truth after rigid alignment, `ate_only_true_m` that of
+    the optimum with the true closures alone; None without ground truth.
+    """
+
+    file: str
+    true: int
+    true_accepted: int
+    false: int
+    false_accepted: int
+    ate_m: float | None
+    ate_only_true_m: float | None
+    seconds: float
+
+    @property
+    def rates(self) -> dict[str, float]:
+        """Shares accepted; where there is none to accept, what a faultless gate would have."""
+        return {
+            "true_accepted_rate": self.true_accepted / self.true if self.true else 1.0,
+            "false_accepted_rate": self.false_accepted / self.false if self.false else 0.0,
+        }
+
+    @property
+    def passes(self) -> bool:
+        """Whether enough true and few enough false closures were accepted."""
+        rates = self.rates
+        return rates["true_accepted_rate"] >= TRUE_ACCEPTED and rates["false_accepted_rate"] <= FALSE_ACCEPTED
+
+
+def run(
+    data: Path, sequences: Sequence[str], alphas: Sequence[str], tell: Callable[[str], None]
+) -> dict[str, dict[str, Any]]:
+    """Gate every labelled file of the sequences; counts and rates by sequence, its files below."""
+    found = {}
+    for sequence in sequences:
+        rows = []
+        for path in files(data, sequence, alphas):
+            rows.append(gated(path))
+            tell(_line(rows[-1]))
+        total = Row(
+            file=sequence,
+            **{name: sum(getattr(row, name) for row in rows) for name in _COUNTS},
+            ate_m=_worst([row.ate_m for row in rows]),
+            ate_only_true_m=_worst([row.ate_only_true_m for row in rows]),
+        )
+        found[sequence] = {
+            **_record(total),
+            "passes": total.passes,
+            "files": [_record(row) | {"file": row.file} for row in rows],
+        }
+    return found
+
+
+_COUNTS = ("true", "true_accepted", "false", "false_accepted", "seconds")
+
+
+def files(data: Path, sequence: str, alphas: Sequence[str]) -> list[Path]:
+    """Labelled files of a sequence, in the folder of the dataset or of all data.
+
+    Raises
+    ------
+    InvalidOptionError
+        There is none.
+    """
+    folders = [data / sequence, data / "kitti_robustslam" / sequence, data]
+    pattern = re.compile(rf"kitti_{re.escape(sequence)}_alpha_(\d+\.?\d*)\.g2o(\.gz|\.bz2)?$")
+    for folder in folders:
+        matches = [(pattern.match(path.name), path) for path in sorted(folder.glob("kitti_*.g2o*"))]
+        paths = [
+            path
+            for match, path in matches
+            if match
+            and (not alphas or match[1] in alphas)
+            and (folder / f"{path.name.split('.g2o')[0]}_GT_LC.txt").is_file()
+        ]
+        if paths:
+            return paths
+    raise InvalidOptionError(
+        f"expected kitti_{sequence}_alpha_*.g2o{' with alpha ' + ', '.join(alphas) if alphas else ''} and its "
+        f"_GT_LC.txt in one of {', '.join(map(str, folders))}, got none; --data names the folder of the sequences"
+    )
+
+
+def gated(path: Path) -> Row:
+    """Gate one file with its labels."""
+    dataset = datasets.read(path)
+    kept = datasets.subsample(dataset, EVERY)
+    if len(kept.closures) == len(dataset.closures):  # else the loops lie between these frames: all are kept
+        dataset = kept
+    started = time.process_time()
+    result = pgti.gate_graph(dataset.graph, dataset.values, radii=RADIUS_M)
+    seconds = time.process_time() - started
+    true, accepted = set(dataset.true_closures or ()), set(result.accepted)
+    only_true = gtsam.NonlinearFactorGraph(dataset.graph)
+    for slot in set(dataset.closures) - true:
+        only_true.remove(slot)
+    return Row(
+        file=path.name,
+        true=len(true),
+        true_accepted=len(true & accepted),
+        false=len(set(dataset.closures) - true),
+        false_accepted=len(accepted - true),
+        ate_m=_ate_m(dataset, result.values),
+        ate_only_true_m=_ate_m(dataset, optimised(only_true, result.values)),
+        seconds=seconds,
+    )
+
+
+def _ate_m(dataset: Dataset, values: gtsam.Values) -> float | None:
+    """Root mean square of the absolute trajectory error after rigid alignment, by evo."""
+    if dataset.truth is None:
+        return None
+    keys = [key for key in dataset.truth.keys() if values.exists(key)]  # noqa: SIM118
+    truth, estimate = (
+        trajectory.PosePath3D(poses_se3=[gtsam.Pose3(poses.atPose2(key)).matrix() for key in keys])
+        for poses in (dataset.truth, values)
+    )
+    estimate.align(truth)
+    error = metrics.APE(metrics.PoseRelation.translation_part)
+    error.process_data((truth, estimate))
+    return float(error.get_statistic(metrics.StatisticsType.rmse))
+
+
+def _worst(errors: list[float | None]) -> float | None:
+    known = [error for error in errors if error is not None]
+    return float(np.max(known)) if known else None
+
+
+def _record(row: Row) -> dict[str, Any]:
+    return {**asdict(row), **row.rates}
+
+
+def _line(row: Row) -> str:
+    error = "" if row.ate_m is None else f"  error {row.ate_m:6.2f} m, with only true ones {row.ate_only_true_m:6.2f} m"
+    return (
+        f"{row.file:28s} true {row.true_accepted:4d} of {row.true:4d}  false {row.false_accepted:4d} of {row.false:4d}"
+        f"{error}  {row.seconds:6.1f} s"
+    )
+
+
+def lines(found: dict[str, dict[str, Any]]) -> Iterator[str]:
+    """A line for each sequence."""
+    for sequence, row in found.items():
+        yield (
+            f"{sequence}: {row['true_accepted']} of {row['true']} true and {row['false_accepted']} of {row['false']} "
+            f"false closures accepted: {'passes' if row['passes'] else 'fails'}"
+        )
