@@ -1,0 +1,237 @@
+"""The heat flow dδ/dt = −H δ − g of Eq. 9 and 12, at any times, and where it ends.
+
+With δ_∞ a solution of H δ = −g, the flow from δ_0 is δ(t) = δ_∞ + e^(−tH) (δ_0 − δ_∞). Where H is singular, what lies in its null
+space stays as it was; g has no part in it. The exponential comes from the eigenmodes of small systems, else at short times from
+`scipy.sparse.linalg.expm_multiply`, and at long ones from resolvents (`spectral.poles`), as the number of products
+that expm_multiply needs grows with t ‖H‖.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg, sparse
+from scipy.sparse.linalg import LinearOperator, eigsh, expm_multiply, splu
+
+from pgti_gtsam.diffusion.block_laplacian import NormalEquations
+from pgti_gtsam.errors import InvalidOptionError, UnsolvableGraphError
+from pgti_gtsam.spectral.poles import fit_from_zero, place
+
+FloatArray = NDArray[np.float64]
+
+MODES_UP_TO = 1500
+"""Unknowns up to which all eigenmodes are found: about a second and 18 MB."""
+
+PRODUCTS = 500.0
+"""t ‖H‖₁ up to which expm_multiply is asked, which takes about as many products: as cheap as the resolvents, and exact."""
+
+POLE_TOLERANCE = 1e-10
+REFINEMENTS = 3
+"""Steps of iterative refinement. Normal equations lose twice the digits that the Jacobian loses; a step with the gradient taken
+from J wins them back. On MIT (condition number of H: 2.5e15) the second one already ends at rounding."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Modes:
+    """Eigenmodes of a symmetric positive semidefinite matrix: e^(−tH) = V diag(e^(−tλ)) Vᵀ."""
+
+    eigenvalues: FloatArray
+    vectors: FloatArray
+
+    def exponential(self, vectors: FloatArray, times: FloatArray) -> FloatArray:
+        """e^(−tH) v, (n_times, N, k), of vectors (N, k)."""
+        inside = self.vectors.T @ vectors
+        return np.stack([self.vectors @ (np.exp(-t * self.eigenvalues)[:, None] * inside) for t in times])
+
+
+def modes(matrix: sparse.csr_array) -> Modes:
+    """All eigenmodes; eigenvalues that rounding put below zero are zero."""
+    eigenvalues, vectors = linalg.eigh(matrix.toarray(), driver="evd", overwrite_a=True, check_finite=False)
+    return Modes(eigenvalues=np.maximum(eigenvalues, 0.0), vectors=vectors)
+
+
+def exponential(matrix: sparse.csr_array, vectors: FloatArray, times: FloatArray) -> FloatArray:
+    """e^(−tH) v of vectors (N, k) at times (n_times,), not negative: (n_times, N, k)."""
+    if matrix.shape[0] <= MODES_UP_TO:
+        return modes(matrix).exponential(vectors, times)
+    norm = float(abs(matrix).sum(axis=0).max())
+    short = times * norm <= PRODUCTS
+    values = np.empty((len(times), *vectors.shape))
+    for k in np.flatnonzero(short):
+        values[k] = expm_multiply(-times[k] * matrix, vectors, traceA=-times[k] * float(matrix.trace()))
+    if not short.all():
+        values[~short] = _by_resolvents(matrix, vectors, times[~short], norm)
+    return values
+
+
+def _by_resolvents(matrix: sparse.csr_array, vectors: FloatArray, times: FloatArray, largest: float) -> FloatArray:
+    shifts = place(1 / float(times.max()), largest, POLE_TOLERANCE)
+    fitted = fit_from_zero(shifts, times, largest)
+    values = fitted.constants[:, None, None] * vectors
+    for shift, weights in zip(shifts, fitted.weights, strict=True):
+        part = factorised(sparse.csc_array(matrix + shift * sparse.eye_array(matrix.shape[0]))).solve(vectors + 0j)
+        for k, weight in enumerate(weights):
+            values[k] += weight.real * part.real - weight.imag * part.imag
+    return values
+
+
+def factorised(matrix: sparse.csc_array) -> Any:
+    """Sparse factorisation of a symmetric matrix without pivoting.
+
+    Raises
+    ------
+    UnsolvableGraphError
+        It is singular.
+    """
+    try:
+        return splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+    except RuntimeError as error:
+        raise UnsolvableGraphError(
+            "expected a graph whose every part is held by a prior, got a singular one; add its `grounds`"
+        ) from error
+
+
+def steady_state(equations: NormalEquations) -> FloatArray:
+    """δ_∞ = −H⁻¹ g of a grounded graph, (N,): the Gauss-Newton step.
+
+    Raises
+    ------
+    UnsolvableGraphError
+        H is singular.
+    """
+    matrix = sparse.csc_array(equations.hessian)
+    factor = factorised(matrix)
+    solution: FloatArray = factor.solve(-equations.gradient)
+    for _ in range(REFINEMENTS):
+        solution = solution - factor.solve(equations.gradient_at(solution))
+    if not np.isfinite(solution).all():
+        raise UnsolvableGraphError(
+            "expected a graph whose every part is held by a prior, got a singular one; add its `grounds`"
+        )
+    return solution
+
+
+def extreme_eigenvalues(equations: NormalEquations) -> tuple[float, float]:
+    """λ_min and λ_max of H: the flow starts within 1/λ_max and has ended a few 1/λ_min later. λ_min is 0 where H is singular."""
+    matrix = equations.hessian
+    if matrix.shape[0] <= MODES_UP_TO // 4:
+        found = linalg.eigvalsh(matrix.toarray())
+        return max(float(found[0]), 0.0), float(found[-1])
+    start = np.random.default_rng(0).normal(size=matrix.shape[0])
+    largest = float(eigsh(matrix, 1, return_eigenvectors=False, v0=start, tol=1e-6)[0])
+    try:
+        factor = factorised(sparse.csc_array(matrix))
+    except UnsolvableGraphError:
+        return 0.0, largest
+    inverse = LinearOperator(matrix.shape, matvec=factor.solve, dtype=float)
+    smallest = 1 / float(eigsh(inverse, 1, return_eigenvectors=False, v0=start, tol=1e-6)[0])
+    return max(smallest, 0.0), largest
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class HeatFlow:
+    """The flow of a grounded graph from δ(0) = `start`.
+
+    Attributes
+    ----------
+    equations : NormalEquations
+    steady : (N,) float
+        δ_∞.
+    start : (N,) float
+        δ(0).
+    """
+
+    equations: NormalEquations
+    steady: FloatArray
+    start: FloatArray
+
+    @cached_property
+    def _modes(self) -> Modes:
+        return modes(self.equations.hessian)
+
+    def at(self, times: FloatArray) -> FloatArray:
+        """δ(t), (n_times, N).
+
+        Parameters
+        ----------
+        times : (n_times,) float
+            Zero or more, in units of 1/H.
+
+        Raises
+        ------
+        InvalidOptionError
+            A time below zero or not finite.
+        """
+        times = np.asarray(times, dtype=float)
+        if not (np.isfinite(times).all() and (times >= 0).all()):
+            raise InvalidOptionError("expected finite times of zero or more: heat does not flow back")
+        away = (self.start - self.steady)[:, None]
+        small = len(self.steady) <= MODES_UP_TO
+        fading = self._modes.exponential(away, times) if small else exponential(self.equations.hessian, away, times)
+        return np.asarray(self.steady + fading[:, :, 0])
+
+    def energies(self, states: FloatArray) -> FloatArray:
+        """½‖e + Jδ‖² of states (n_times, N): falls along the flow, at the rate ‖Hδ + g‖²."""
+        curved = 0.5 * np.einsum("ti,ti->t", states, (self.equations.hessian @ states.T).T)
+        return np.asarray(curved + states @ self.equations.gradient + self.equations.constant)
+
+
+def heat_flow(
+    equations: NormalEquations, start: FloatArray | None = None, steady: FloatArray | None = None
+) -> HeatFlow:
+    """Heat flow of a grounded graph; `steady` where it is known, from `start`, zero when left out."""
+    ending = steady_state(equations) if steady is None else steady
+    return HeatFlow(equations=equations, steady=ending, start=np.zeros(len(ending)) if start is None else start)
+
+
+def unforced(equations: NormalEquations) -> NormalEquations:
+    """The same without residuals: how a perturbation dies away."""
+    residual = None if equations.residual is None else np.zeros(len(equations.residual))
+    return replace(equations, gradient=np.zeros(len(equations.gradient)), constant=0.0, residual=residual)
+
+
+def relative_consensus(
+    n_vertices: int,
+    edges: NDArray[np.int64],
+    measured: FloatArray,
+    weights: FloatArray | None = None,
+    held: int | None = None,
+) -> NormalEquations:
+    """Eq. 8 and 9: f(x) = ½‖Cx − z‖², whose descent dx/dt = −CᵀC x + Cᵀz is heat with a constant source.
+
+    Parameters
+    ----------
+    n_vertices : int
+    edges : (m, 2) int
+        The row of C for the edge (i, j) has +1 at i and −1 at j.
+    measured : (m, k) float
+        z_ij, what x_i − x_j should be.
+    weights : (m,) float, optional
+        ω_ij of Eq. 6; one when left out.
+    held : int, optional
+        A vertex held at x = 0 with weight one, so that the steady state is unique.
+
+    Returns
+    -------
+    NormalEquations
+        With H = CᵀWC ⊗ 1_k: k copies of one scalar Laplacian.
+    """
+    pairs, z = np.asarray(edges, dtype=np.int64).reshape(-1, 2), np.asarray(measured, dtype=float)
+    m, k = len(pairs), z.shape[1]
+    rows = np.repeat(np.arange(m), 2)
+    incidence = sparse.coo_array((np.tile([1.0, -1.0], m), (rows, pairs.ravel())), shape=(m, n_vertices)).tocsr()
+    w = np.ones(m) if weights is None else np.asarray(weights, dtype=float)
+    weighted = incidence.T @ sparse.diags_array(w)
+    ground = sparse.coo_array(([1.0], ([held], [held])), shape=(n_vertices, n_vertices)) if held is not None else 0.0
+    matrix = weighted @ incidence + ground if held is not None else weighted @ incidence
+    return NormalEquations(
+        hessian=sparse.csr_array(sparse.kron(matrix, sparse.eye_array(k))),
+        gradient=-np.asarray(weighted @ z).ravel(),
+        constant=0.5 * float(w @ (z**2).sum(axis=1)),
+        dimension=k,
+        frame="spatial",
+    )

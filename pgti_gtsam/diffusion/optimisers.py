@@ -1,0 +1,206 @@
+"""GTSAM's optimisers step by step, and the heat flow that is linearised again, from the same start.
+
+Steps and times correspond. Gradient descent with step h is the flow by Euler's explicit rule, k steps being the time k h. Levenberg and
+Marquardt's step with damping λ, −(H + λ)⁻¹ g, is one step of Euler's implicit rule over the time 1/λ. Gauss-Newton's is the whole flow,
+t = ∞. Dogleg's lies between the first and the last.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from pgti_gtsam.diffusion.block_laplacian import normal_equations
+from pgti_gtsam.diffusion.flow import extreme_eigenvalues, heat_flow
+from pgti_gtsam.diffusion.grounding import Ground, grounded, grounded_graph, grounds
+from pgti_gtsam.diffusion.linearisation import Linearisation, linearise
+from pgti_gtsam.errors import InvalidOptionError, UnsolvableGraphError
+
+OPTIMISERS: dict[str, tuple[Any, Any]] = {
+    "Gauss-Newton": (gtsam.GaussNewtonOptimizer, gtsam.GaussNewtonParams),
+    "Levenberg-Marquardt": (gtsam.LevenbergMarquardtOptimizer, gtsam.LevenbergMarquardtParams),
+    "dogleg": (gtsam.DoglegOptimizer, gtsam.DoglegParams),
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Step:
+    """One accepted state of an optimiser.
+
+    Attributes
+    ----------
+    method : str
+    iteration : int
+        Zero is the start.
+    energy : float
+        The graph's error; ½‖e‖² without robust losses.
+    values : gtsam.Values
+    """
+
+    method: str
+    iteration: int
+    energy: float
+    values: gtsam.Values
+
+
+def gtsam_steps(
+    graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, method: str, n_steps: int, *, damping: float | None = None
+) -> list[Step]:
+    """Run one of GTSAM's optimisers iteration by iteration.
+
+    Parameters
+    ----------
+    graph : gtsam.NonlinearFactorGraph
+        Held in place: see `grounding.grounded_graph`.
+    values : gtsam.Values
+        The start; it stays untouched.
+    method : str
+        A key of `OPTIMISERS`.
+    n_steps : int
+    damping : float, optional
+        First λ of Levenberg-Marquardt, which it divides by ten at every success; GTSAM's own 1e-5 when left out.
+
+    Raises
+    ------
+    InvalidOptionError
+        Another method.
+    UnsolvableGraphError
+        GTSAM finds the graph singular.
+    """
+    if method not in OPTIMISERS:
+        raise InvalidOptionError(f"expected a method among {', '.join(OPTIMISERS)}, got {method!r}")
+    optimiser_class, parameter_class = OPTIMISERS[method]
+    parameters = parameter_class()
+    parameters.setLinearSolverType("MULTIFRONTAL_QR")
+    if damping is not None and method == "Levenberg-Marquardt":
+        parameters.setlambdaInitial(damping)
+    optimiser = optimiser_class(graph, values, parameters)
+    steps = [Step(method=method, iteration=0, energy=optimiser.error(), values=values)]
+    for k in range(1, n_steps + 1):
+        try:
+            optimiser.iterate()
+        except RuntimeError as error:
+            raise UnsolvableGraphError(
+                f"expected a graph that {method} can solve, got a singular one at iteration {k}; is every part held?"
+            ) from error
+        steps.append(
+            Step(method=method, iteration=k, energy=optimiser.error(), values=gtsam.Values(optimiser.values()))
+        )
+    return steps
+
+
+def gradient_descent(
+    graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, n_steps: int, *, step: float | None = None
+) -> Iterator[Step]:
+    """Steepest descent in GTSAM's coordinates, linearised again at every step.
+
+    Parameters
+    ----------
+    graph, values
+        Poses only; it need not be held, as descent moves nothing that the graph leaves open.
+    n_steps : int
+    step : float, optional
+        h in units of 1/H; 1/λ_max of the start when left out, half the length at which a step overshoots.
+    """
+    yield Step(method="gradient descent", iteration=0, energy=graph.error(values), values=values)
+    for k in range(1, n_steps + 1):
+        body = linearise(graph, values)
+        equations = normal_equations(body)
+        step = 1 / extreme_eigenvalues(equations)[1] if step is None else step
+        values = moved(body, values, -step * equations.gradient)
+        yield Step(method="gradient descent", iteration=k, energy=graph.error(values), values=values)
+
+
+def relinearised_flow(
+    graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, durations: NDArray[np.float64]
+) -> Iterator[Step]:
+    """Flow for a while, retract, linearise again, repeat: the nonlinear heat flow, at the sums of the durations.
+
+    An infinite duration is a Gauss-Newton step.
+    """
+    yield Step(method="flow", iteration=0, energy=graph.error(values), values=values)
+    for k, duration in enumerate(durations, start=1):
+        body = linearise(graph, values)
+        held = grounded(body, grounds(body))
+        flow = heat_flow(normal_equations(held))
+        delta = flow.steady if np.isinf(duration) else flow.at(np.array([duration]))[0]
+        values = moved(body, values, delta)
+        yield Step(method="flow", iteration=k, energy=graph.error(values), values=values)
+
+
+def gauss_newton_poses(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, added: list[Ground]) -> gtsam.Values:
+    """Where one Gauss-Newton iteration of GTSAM leads, by its QR solver.
+
+    Its Cholesky solver loses twice the digits: 2e-9 of the step on parking-garage, and MIT it refuses as indeterminate.
+    """
+    return gtsam_steps(grounded_graph(graph, values, added), values, "Gauss-Newton", 1)[-1].values
+
+
+def steady_state_error(
+    body: Linearisation,
+    graph: gtsam.NonlinearFactorGraph,
+    values: gtsam.Values,
+    added: list[Ground],
+    steady: NDArray[np.float64],
+) -> float:
+    """Distance between the poses of the flow's steady state and of GTSAM's Gauss-Newton step, relative to the step.
+
+    Compared are poses, as a step may turn one by more than π, which its logarithm does not tell.
+    """
+    theirs = gauss_newton_poses(graph, values, added)
+    difference = updates(body, moved(body, values, steady), theirs)
+    size = float(np.linalg.norm(steady))
+    return float(np.linalg.norm(difference)) / size if size else float(np.linalg.norm(difference))
+
+
+def moved(body: Linearisation, values: gtsam.Values, delta: NDArray[np.float64]) -> gtsam.Values:
+    """Values with every pose retracted by its share of δ_body, (n d,); other variables stay."""
+    at, found = _reader(body, values), gtsam.Values(values)
+    for key, share in zip(body.keys.tolist(), delta.reshape(-1, body.dimension), strict=True):
+        found.update(key, at(key).retract(share))
+    return found
+
+
+def updates(body: Linearisation, before: gtsam.Values, after: gtsam.Values) -> NDArray[np.float64]:
+    """log(p_before⁻¹ p_after) of every pose, (n, d)."""
+    first, second = _reader(body, before), _reader(body, after)
+    return np.array([first(key).localCoordinates(second(key)) for key in body.keys.tolist()])
+
+
+def _reader(body: Linearisation, values: gtsam.Values) -> Any:
+    return getattr(values, f"at{body.group}")
+
+
+def matched_time(
+    times: NDArray[np.float64], states: NDArray[np.float64], update: NDArray[np.float64]
+) -> tuple[float, float]:
+    """The time at which a flow is nearest to an optimiser's update u, and ‖δ(t) − u‖ / ‖u‖ then.
+
+    Parameters
+    ----------
+    times : (n_times,) float
+        Ascending and positive; the last may be infinite.
+    states : (n_times, N) float
+        δ(t). Between two of them the flow is taken as a straight line, and time as its logarithm.
+    update : (N,) float
+        Zero gives time zero and no miss.
+    """
+    size = float(np.linalg.norm(update))
+    if size == 0:
+        return 0.0, 0.0
+    steps = np.diff(states, axis=0)
+    lengths = (steps**2).sum(axis=1)
+    towards = ((update - states[:-1]) * steps).sum(axis=1)
+    share = np.clip(np.divide(towards, lengths, out=np.zeros_like(towards), where=lengths > 0), 0.0, 1.0)
+    miss = np.linalg.norm(states[:-1] + share[:, None] * steps - update, axis=1) / size
+    best = int(np.argmin(miss))
+    first, last = times[best], times[best + 1]
+    if np.isinf(last):
+        return (float(last) if share[best] > 0.5 else float(first)), float(miss[best])
+    return float(first * (last / first) ** share[best]), float(miss[best])
