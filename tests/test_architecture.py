@@ -21,12 +21,13 @@ FLOORS = [
     "optimality",
     "integrity",
     "gate",
+    "diffusion",
     "datasets",
     "dense_map",
     "report",
     "cli",
 ]
-MAY_IMPORT_GTSAM = {"adapter", "gate", "datasets"}
+MAY_IMPORT_GTSAM = {"adapter", "gate", "diffusion", "datasets"}
 
 
 def room_of(path):

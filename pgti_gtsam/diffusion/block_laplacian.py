@@ -1,9 +1,10 @@
 """The normal matrix H = JᵀΩJ of a pose graph as a block Laplacian: where it is one, and how far it is from one.
 
 A matrix of d × d blocks is a block Laplacian when every block row sums to zero: what stands on the diagonal is
-what leaves for the neighbours, so a field that is the same at all vertices stays as it is. For H that is invariance: if moving
-all poses alike changes no error, H annihilates that motion. In the spatial frame it moves all poses by the same
-δ and block rows sum to zero. In the body frame the same motion is Ad(p_i⁻¹) δ, different at every vertex, and they do not.
+what leaves for the neighbours, so a field that is the same at all vertices stays as it is. For H that is
+invariance: if moving all poses alike changes no error, H annihilates that motion. In the spatial frame it
+moves all poses by the same δ and block rows sum to zero. In the body frame the same motion is Ad(p_i⁻¹) δ,
+different at every vertex, and they do not.
 """
 
 from __future__ import annotations
@@ -64,8 +65,8 @@ class NormalEquations:
 def normal_equations(linearisation: Linearisation) -> NormalEquations:
     """Normal equations of the poses; whatever else the factors hold is marginalised.
 
-    H = H_pp − H_pl H_ll⁺ H_lp, g = g_p − H_pl H_ll⁺ g_l, the Schur complement. The pseudo-inverse is exact for what the factors
-    leave open (a landmark that one bearing saw), since H_lp has no share in it.
+    H = H_pp − H_pl H_ll⁺ H_lp, g = g_p − H_pl H_ll⁺ g_l, the Schur complement. The pseudo-inverse is exact
+    for what the factors leave open (a landmark that one bearing saw), since H_lp has no share in it.
 
     What it does to the Laplacian: block rows still sum to zero in the spatial frame, because moving the whole map
     still changes no error. All poses that saw a landmark become neighbours of each other. The off-diagonal blocks
@@ -133,9 +134,9 @@ def row_defects(equations: NormalEquations) -> NDArray[np.float64]:
     """How far each block row is from summing to zero, without units, (n,).
 
     max over a, b of |Σ_j H_ij|_ab / √((H_ii)_aa (H_ii)_bb). Rows and columns are compared with their own diagonal
-    entries, so radians and metres do not mix, and another unit of either changes nothing; nor does a distant origin, which
-    makes the rotational entries of the spatial frame large. Zero at the vertices of a block Laplacian, 1 at
-    one that nothing but a prior holds, zero at one without a factor.
+    entries, so radians and metres do not mix, and another unit of either changes nothing; nor does a distant
+    origin, which makes the rotational entries of the spatial frame large. Zero at the vertices of a block
+    Laplacian, 1 at one that nothing but a prior holds, zero at one without a factor.
     """
     n, d = equations.n_vertices, equations.dimension
     sums = np.asarray(equations.hessian @ np.tile(np.eye(d), (n, 1))).reshape(n, d, d)
@@ -155,8 +156,9 @@ def laplacian_defect(equations: NormalEquations) -> float:
 def weight_asymmetry(equations: NormalEquations) -> float:
     """Largest |H_ij − H_ijᵀ| of any off-diagonal block, relative to the same scale as `row_defects`.
 
-    Between factors give −H_ij = Bᵀ Ω B in the spatial frame: a symmetric positive semidefinite conductance, and zero here.
-    In the body frame, and behind a marginalised landmark, the block is in general no conductance at all.
+    Between factors give −H_ij = Bᵀ Ω B in the spatial frame: a symmetric positive semidefinite conductance,
+    and zero here. In the body frame, and behind a marginalised landmark, the block is in general no
+    conductance at all.
     """
     n, d = equations.n_vertices, equations.dimension
     blocks = sparse.bsr_array(equations.hessian, blocksize=(d, d))

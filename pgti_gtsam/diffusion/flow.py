@@ -1,9 +1,9 @@
 """The heat flow dδ/dt = −H δ − g of Eq. 9 and 12, at any times, and where it ends.
 
-With δ_∞ a solution of H δ = −g, the flow from δ_0 is δ(t) = δ_∞ + e^(−tH) (δ_0 − δ_∞). Where H is singular, what lies in its null
-space stays as it was; g has no part in it. The exponential comes from the eigenmodes of small systems, else at short times from
-`scipy.sparse.linalg.expm_multiply`, and at long ones from resolvents (`spectral.poles`), as the number of products
-that expm_multiply needs grows with t ‖H‖.
+With δ_∞ a solution of H δ = −g, the flow from δ_0 is δ(t) = δ_∞ + e^(−tH) (δ_0 − δ_∞). Where H is singular,
+what lies in its null space stays as it was; g has no part in it. The exponential comes from the eigenmodes
+of small systems, else at short times from `scipy.sparse.linalg.expm_multiply`, and at long ones from
+resolvents (`spectral.poles`), as the number of products that expm_multiply needs grows with t ‖H‖.
 """
 
 from __future__ import annotations
@@ -27,11 +27,13 @@ MODES_UP_TO = 1500
 """Unknowns up to which all eigenmodes are found: about a second and 18 MB."""
 
 PRODUCTS = 500.0
-"""t ‖H‖₁ up to which expm_multiply is asked, which takes about as many products: as cheap as the resolvents, and exact."""
+"""t ‖H‖₁ up to which expm_multiply is asked, which takes about as many products: as cheap as the resolvents,
+and exact."""
 
 POLE_TOLERANCE = 1e-10
 REFINEMENTS = 3
-"""Steps of iterative refinement. Normal equations lose twice the digits that the Jacobian loses; a step with the gradient taken
+"""Steps of iterative refinement. Normal equations lose twice the digits that the Jacobian loses; a step with
+the gradient taken
 from J wins them back. On MIT (condition number of H: 2.5e15) the second one already ends at rounding."""
 
 
@@ -116,7 +118,8 @@ def steady_state(equations: NormalEquations) -> FloatArray:
 
 
 def extreme_eigenvalues(equations: NormalEquations) -> tuple[float, float]:
-    """λ_min and λ_max of H: the flow starts within 1/λ_max and has ended a few 1/λ_min later. λ_min is 0 where H is singular."""
+    """λ_min and λ_max of H: the flow starts within 1/λ_max and has ended a few 1/λ_min later. λ_min is 0
+    where H is singular."""
     matrix = equations.hessian
     if matrix.shape[0] <= MODES_UP_TO // 4:
         found = linalg.eigvalsh(matrix.toarray())

@@ -1,8 +1,9 @@
 """What holds a map in place, and the least that has to be added where nothing does.
 
-A factor between poses conducts heat and holds nothing. A prior, or a position from a satellite, connects its vertex to a wall of
-fixed temperature: a grounded vertex. Where a connected part has no ground, moving it as a whole changes no error; H is singular there,
-GTSAM's solver refuses, and the flow keeps the part's mean motion where it started.
+A factor between poses conducts heat and holds nothing. A prior, or a position from a satellite, connects its
+vertex to a wall of fixed temperature: a grounded vertex. Where a connected part has no ground, moving it as
+a whole changes no error; H is singular there, GTSAM's solver refuses, and the flow keeps the part's mean
+motion where it started.
 """
 
 from __future__ import annotations
@@ -20,8 +21,9 @@ from pgti_gtsam.diffusion.block_laplacian import normal_equations
 from pgti_gtsam.diffusion.linearisation import Linearisation, in_space
 
 NO_MOTION = 1e-9
-"""A motion of a part that changes errors by less, relative to what moving each of its poses alone would, changes none.
-Rounding leaves 1e-13; what holds a map on purpose holds it better than this: a part of 10 000 poses with one prior as
+"""A motion of a part that changes errors by less, relative to what moving each of its poses alone would,
+changes none. Rounding leaves 1e-13; what holds a map on purpose holds it better than this: a part of 10 000
+poses with one prior as
 stiff as its odometry has 1e-4."""
 
 
@@ -34,8 +36,8 @@ class Ground:
     key : int
         The first pose of its part.
     matrix : (k, d) float
-        Whitened Jacobian in the body frame; as stiff as the factors at the pose. Its residual is zero, now and at the optimum:
-        it chooses one of the solutions and pulls at none.
+        Whitened Jacobian in the body frame; as stiff as the factors at the pose. Its residual is zero, now
+        and at the optimum: it chooses one of the solutions and pulls at none.
     """
 
     key: int

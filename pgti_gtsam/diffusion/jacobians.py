@@ -28,10 +28,11 @@ class Equation11:
     gtsam_jacobian : (m,) float
         |B − J Ad(p_j⁻¹)| with the J that GTSAM's own formulas give for J_r⁻¹(e).
     right_jacobian : (m,) float
-        |B − J_r⁻¹(e) Ad(p_j⁻¹)| with the exact J_r⁻¹. Where this is large and the other is not, GTSAM's J is not J_r⁻¹:
-        Similarity3 factors leave it out, which is right where e = 0 only; `Pose2.LogmapDerivative` cancels to few digits
-        at small angles, worst just above 1e-5 rad; Pose3's logarithm loses half its digits some 1e-3 rad before π.
-        H is a block Laplacian in all three cases, and not quite the Gauss-Newton matrix of its error.
+        |B − J_r⁻¹(e) Ad(p_j⁻¹)| with the exact J_r⁻¹. Where this is large and the other is not, GTSAM's J is
+        not J_r⁻¹: Similarity3 factors leave it out, which is right where e = 0 only;
+        `Pose2.LogmapDerivative` cancels to few digits at small angles, worst just above 1e-5 rad; Pose3's
+        logarithm loses half its digits some 1e-3 rad before π. H is a block Laplacian in all three cases,
+        and not quite the Gauss-Newton matrix of its error.
     rotation_rad : (m,) float
         Angle of the residual's rotation; J_r is singular at 2π, the logarithm jumps at π.
     """
@@ -63,14 +64,13 @@ def equation_11(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> Equa
 def inverse_right_jacobian(group: Any, tangent: NDArray[np.float64]) -> NDArray[np.float64]:
     """J_r⁻¹(ξ) of any matrix Lie group, (d, d).
 
-    J_r(ξ) = φ₁(−ad_ξ) with φ₁(X) = (eˣ − 1)/X, taken from the exponential of [[X, 1], [0, 0]], whose upper right block it is.
-    Exact whatever the angle, where a closed form by angles loses digits near 0 and π.
+    J_r(ξ) = φ₁(−ad_ξ) with φ₁(X) = (eˣ − 1)/X, taken from the exponential of [[X, 1], [0, 0]], whose upper
+    right block it is. Exact whatever the angle, where a closed form by angles loses digits near 0 and π.
     """
     d = len(tangent)
     augmented = np.zeros((2 * d, 2 * d))
     augmented[:d, :d], augmented[:d, d:] = -group.adjointMap(tangent), np.eye(d)
-    inverse: NDArray[np.float64] = np.linalg.inv(linalg.expm(augmented)[:d, d:])
-    return inverse
+    return np.asarray(np.linalg.inv(linalg.expm(augmented)[:d, d:]), dtype=np.float64)
 
 
 def _deviations(factor: Any, group: Any, values: gtsam.Values) -> tuple[float, float, float, float]:

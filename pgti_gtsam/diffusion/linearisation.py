@@ -1,9 +1,10 @@
 """A factor graph linearised at its values: the whitened Jacobian as one sparse matrix, in two frames.
 
 GTSAM perturbs a pose from the right, p Exp(δ_body): the body frame. The paper's Eq. 10 perturbs it from the left,
-Exp(δ_space) p: the spatial frame. Both say the same with δ_body = Ad(p⁻¹) δ_space, so the spatial Jacobian is the body's
-times the block diagonal of the Ad(p_i⁻¹). Rows are whitened as GTSAM whitens them: JᵀJ here is the paper's JᵀΩJ. A robust loss
-multiplies the rows of its factor by the root of its present weight, which scales that factor's Ω and nothing else.
+Exp(δ_space) p: the spatial frame. Both say the same with δ_body = Ad(p⁻¹) δ_space, so the spatial Jacobian
+is the body's times the block diagonal of the Ad(p_i⁻¹). Rows are whitened as GTSAM whitens them: JᵀJ here is
+the paper's JᵀΩJ. A robust loss multiplies the rows of its factor by the root of its present weight, which
+scales that factor's Ω and nothing else.
 """
 
 from __future__ import annotations
@@ -16,7 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from pgti_gtsam.errors import InvalidGraphError, InvalidValueError, MissingValueError, NoPoseError, UnsolvableGraphError
+from pgti_gtsam.errors import (
+    InvalidGraphError,
+    InvalidValueError,
+    MissingValueError,
+    NoPoseError,
+    UnsolvableGraphError,
+)
 
 Frame = Literal["body", "spatial"]
 
@@ -75,8 +82,8 @@ class Linearisation:
 def linearise(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> Linearisation:
     """Linearise a factor graph in GTSAM's own, the body frame. Graph and values stay untouched.
 
-    Keyframes are the poses of one group; every other variable follows behind, to be marginalised (`normal_equations`).
-    Empty slots are passed over.
+    Keyframes are the poses of one group; every other variable follows behind, to be marginalised
+    (`normal_equations`). Empty slots are passed over.
 
     Parameters
     ----------
@@ -94,7 +101,8 @@ def linearise(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> Linear
     InvalidGraphError
         The graph holds no factor.
     UnsolvableGraphError
-        A hard constraint, which conducts infinitely well and leaves no finite flow, or a factor that GTSAM cannot linearise.
+        A hard constraint, which conducts infinitely well and leaves no finite flow, or a factor that GTSAM
+        cannot linearise.
     """
     group, keys, adjoints = _poses(values)
     d = adjoints.shape[-1]
@@ -142,7 +150,8 @@ def _poses(values: gtsam.Values) -> tuple[str, list[int], NDArray[np.float64]]:
     present = [name for name, poses in found.items() if poses]
     if not present:
         raise NoPoseError(
-            f"expected poses among the values, got {values.size()} values of which none is a Pose2, Pose3 or Similarity3; "
+            f"expected poses among the values, got {values.size()} values of which none is a Pose2, "
+            "Pose3 or Similarity3; "
             "other pose types are not supported here"
         )
     if len(present) > 1:
@@ -177,7 +186,7 @@ def _linearised(
 ) -> tuple[list[int], NDArray[np.float64], NDArray[np.float64]]:
     """Keys, whitened Jacobian and whitened error of one factor; empty where it is inactive."""
     named = f"{type(factor).__name__} in slot {slot}"
-    for key in factor.keys():
+    for key in factor.keys():  # noqa: SIM118
         if key not in dims:
             raise MissingValueError(
                 f"expected a value of every key, got none of {gtsam.DefaultKeyFormatter(key)} of {named}"
@@ -188,7 +197,8 @@ def _linearised(
             return [], np.zeros((0, 0)), np.zeros(0)
         if isinstance(linear, gtsam.JacobianFactor) and linear.isConstrained():
             raise UnsolvableGraphError(
-                f"expected factors of finite information, got the hard constraint {named}; give it a small sigma instead"
+                f"expected factors of finite information, got the hard constraint {named}; "
+                "give it a small sigma instead"
             )
         matrix, right = linear.jacobian()
     except (RuntimeError, ValueError, IndexError) as error:
@@ -225,14 +235,17 @@ def _stacked(
 
 
 def robust_weights(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> dict[int, float]:
-    """Present weight of every factor with a robust loss, by slot: its conductance is that much of what its noise model says.
+    """Present weight of every factor with a robust loss, by slot: its conductance is that much of what its
+    noise model says.
 
     Weights are those at the values; they change as the flow goes on, and the linearised flow does not know.
     """
     weights = {}
-    for slot, factor in enumerate(map(graph.at, range(graph.size()))):
+    for slot in range(graph.size()):
+        factor: Any = graph.at(slot)
         model = factor.noiseModel() if hasattr(factor, "noiseModel") else None
         if isinstance(model, gtsam.noiseModel.Robust):
             whitened = model.noise().whiten(factor.unwhitenedError(values))
-            weights[slot] = float(model.robust().weight(float(np.linalg.norm(whitened))))
+            loss: Any = model.robust()
+            weights[slot] = float(loss.weight(float(np.linalg.norm(whitened))))
     return weights

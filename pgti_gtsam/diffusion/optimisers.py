@@ -1,15 +1,14 @@
 """GTSAM's optimisers step by step, and the heat flow that is linearised again, from the same start.
 
-Steps and times correspond. Gradient descent with step h is the flow by Euler's explicit rule, k steps being the time k h. Levenberg and
-Marquardt's step with damping λ, −(H + λ)⁻¹ g, is one step of Euler's implicit rule over the time 1/λ. Gauss-Newton's is the whole flow,
-t = ∞. Dogleg's lies between the first and the last.
+Steps and times correspond. Gradient descent with step h is the flow by Euler's explicit rule, k steps being
+the time k h. Levenberg and Marquardt's step with damping λ, −(H + λ)⁻¹ g, is one step of Euler's implicit
+rule over the time 1/λ. Gauss-Newton's is the whole flow, t = ∞. Dogleg's lies between the first and the last.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any
 
 import gtsam
@@ -137,7 +136,8 @@ def relinearised_flow(
 def gauss_newton_poses(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, added: list[Ground]) -> gtsam.Values:
     """Where one Gauss-Newton iteration of GTSAM leads, by its QR solver.
 
-    Its Cholesky solver loses twice the digits: 2e-9 of the step on parking-garage, and MIT it refuses as indeterminate.
+    Its Cholesky solver loses twice the digits: 2e-9 of the step on parking-garage, and MIT it refuses as
+    indeterminate.
     """
     return gtsam_steps(grounded_graph(graph, values, added), values, "Gauss-Newton", 1)[-1].values
 

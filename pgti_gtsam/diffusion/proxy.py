@@ -1,8 +1,8 @@
 """How well the scalar Laplacian of PGTI stands for the heat that pose-graph optimisation spreads.
 
-Compared is the heat that is left at each keyframe: K_ii(t) of the scalar Laplacian, and tr K_ii(s) / d of the block matrix H. Their
-clocks differ, since information has units: times are matched so that the mean over all keyframes is the same. What is left then is
-where the heat stays, which is what PGTI compares.
+Compared is the heat that is left at each keyframe: K_ii(t) of the scalar Laplacian, and tr K_ii(s) / d of
+the block matrix H. Their clocks differ, since information has units: times are matched so that the mean over
+all keyframes is the same. What is left then is where the heat stays, which is what PGTI compares.
 """
 
 from __future__ import annotations
@@ -27,8 +27,10 @@ CLOCK_TIMES = 400
 """Logarithmic grid on which the matched times are looked up: some twenty a decade over twenty decades."""
 
 SAMPLED_COLUMNS = 180
-"""Columns of the heat kernel that are computed where H is too large for its eigenmodes: those of 60 planar or 30 spatial keyframes,
-evenly spread over the keys. Rank correlations of 60 and 30 have standard errors of 0.13 and 0.19 around zero, less towards one."""
+"""Columns of the heat kernel that are computed where H is too large for its eigenmodes: those of 60 planar
+or 30 spatial keyframes,
+evenly spread over the keys. Rank correlations of 60 and 30 have standard errors of 0.13 and 0.19 around
+zero, less towards one."""
 
 SAMPLE_TOLERANCE = 1e-6
 
@@ -128,8 +130,8 @@ def block_edges(hessian: sparse.csr_array, dimension: int) -> NDArray[np.int64]:
 def information_weights(equations: NormalEquations) -> FloatArray:
     """D-optimality of every conductance, |det H_ij|^(1/d), (m,), in the order of `block_edges`.
 
-    For one between factor of a pair it is det(Ω)^(1/d), up to det J_r, in the body frame as in the spatial one: the determinant of
-    the adjoint map of a rigid motion is one. Zero where the information is singular.
+    For one between factor of a pair it is det(Ω)^(1/d), up to det J_r, in the body frame as in the spatial
+    one: the determinant of the adjoint map of a rigid motion is one. Zero where the information is singular.
     """
     d = equations.dimension
     blocks = sparse.bsr_array(equations.hessian, blocksize=(d, d))
@@ -150,7 +152,8 @@ def spearman(first: FloatArray, second: FloatArray) -> float:
 
 
 def heat_left(matrix: sparse.csr_array, dimension: int, vertices: NDArray[np.int64], times: FloatArray) -> FloatArray:
-    """tr K_ii(t) / d of chosen vertices, (k, n_times): the mean share of a unit of heat that is still where it was put."""
+    """tr K_ii(t) / d of chosen vertices, (k, n_times): the mean share of a unit of heat that is still where
+    it was put."""
     columns = (vertices[:, None] * dimension + np.arange(dimension)).ravel()
     shape = (len(vertices), dimension, len(times))
     if matrix.shape[0] <= MODES_UP_TO:
@@ -183,7 +186,8 @@ def _decay(
 
 
 def _informative(clock: FloatArray, heat: FloatArray, n_times: int) -> FloatArray:
-    """Times between a tenth of the heat gone and all but a hundredth of what can go: before and after all keyframes are alike."""
+    """Times between a tenth of the heat gone and all but a hundredth of what can go: before and after all
+    keyframes are alike."""
     mean = heat.mean(axis=0)
     gone = (mean[0] - mean) / max(mean[0] - mean[-1], 1e-300)
     first, last = (np.interp(level, gone, np.log(clock)) for level in (0.1, 0.99))

@@ -28,7 +28,8 @@ class Spread:
     vertex : int
     times : (n_times,) float
     amplitudes : (n_times, n) float
-        Shift of every keyframe for a unit shift of one, root mean square over directions: one at the vertex at time zero.
+        Shift of every keyframe for a unit shift of one, root mean square over directions: one at the vertex
+        at time zero.
     hops : (n,) float
         Edges between the vertex and every other; infinite where none lead there.
     """
@@ -39,7 +40,8 @@ class Spread:
     hops: FloatArray
 
     def arrivals(self) -> FloatArray:
-        """When half of its largest response has reached every keyframe, (n,); infinite where nothing comes within the times."""
+        """When half of its largest response has reached every keyframe, (n,); infinite where nothing comes
+        within the times."""
         peak = self.amplitudes.max(axis=0)
         reached = self.amplitudes >= 0.5 * peak
         first = self.times[reached.argmax(axis=0)]
@@ -53,7 +55,8 @@ class Spread:
         return distances, np.array([np.median(arrivals[known & (self.hops == hop)]) for hop in distances])
 
     def exponent(self) -> float:
-        """p of arrival ~ hops^p, by least squares over logarithms from the second hop on; NaN with fewer than two distances.
+        """p of arrival ~ hops^p, by least squares over logarithms from the second hop on; NaN with fewer
+        than two distances.
 
         Heat on a chain has 2. Bending, in which an elastic beam spreads, has 4.
         """

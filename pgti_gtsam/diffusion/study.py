@@ -29,7 +29,8 @@ from pgti_gtsam.spectral.laplacian import laplacian
 
 N_TIMES = 61
 N_STEPS = 6
-"""Iterations of each optimiser: Gauss-Newton has settled by then on every graph tried but one that it cannot solve."""
+"""Iterations of each optimiser: Gauss-Newton has settled by then on every graph tried but one that it cannot
+solve."""
 
 FloatArray = NDArray[np.float64]
 
@@ -44,7 +45,8 @@ class OptimiserRun:
     energies : (k,) float
         The graph's error from the start on; empty where the optimiser found the graph singular.
     time, miss : float
-        The time at which the linear flow is nearest to the first step, and how far it is relative to the step; NaN likewise.
+        The time at which the linear flow is nearest to the first step, and how far it is relative to the
+        step; NaN likewise.
     """
 
     method: str
@@ -220,7 +222,8 @@ def _optimisers(
 
 
 def _spreads(free: tuple[NormalEquations, NormalEquations], times: FloatArray) -> tuple[Spread, Spread, Spread]:
-    """From the middle keyframe: in the body frame, in the spatial frame on a clock of its own, and by the scalar Laplacian."""
+    """From the middle keyframe: in the body frame, in the spatial frame on a clock of its own, and by the
+    scalar Laplacian."""
     n = free[0].n_vertices
     scalar = scalar_equations(n, block_edges(free[0].hessian, free[0].dimension))
     found = []
