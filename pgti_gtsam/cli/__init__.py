@@ -8,6 +8,7 @@ import typer
 from rich.console import Console
 
 from pgti_gtsam.cli.audit import audit, view
+from pgti_gtsam.cli.diffusion import diffusion
 from pgti_gtsam.cli.gate import closures, gate
 from pgti_gtsam.errors import PgtiError
 
@@ -19,7 +20,7 @@ def describe() -> None:
     """Is this map right, and where not? Pose-graph topological integrity of SLAM maps."""
 
 
-for _command in (audit, view, gate, closures):
+for _command in (audit, view, gate, closures, diffusion):
     app.command()(_command)
 
 

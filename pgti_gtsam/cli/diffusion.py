@@ -1,0 +1,38 @@
+"""`pgti-gtsam diffusion`: a pose graph as a conductor of heat."""
+
+from __future__ import annotations
+
+import json as json_text
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from pgti_gtsam.cli.options import Map, Values, check_outputs, read_map, stages
+from pgti_gtsam.diffusion import study
+from pgti_gtsam.report.heat import heat_document, print_heat, write_heat_page
+
+
+def diffusion(
+    file: Map,
+    values: Values = None,
+    json: Annotated[Path | None, typer.Option(help="Write everything found to this JSON file.")] = None,
+    html: Annotated[Path | None, typer.Option(help="Write the figures to this page.")] = None,
+) -> None:
+    """Compare pose-graph optimisation with heat: frames, steady state, optimisers, proxy."""
+    check_outputs([json, html], [file, values])
+    with stages(8) as stage:
+        stage("reading")
+        dataset, _ = read_map(file, values, None, None)
+        found = study(dataset.graph, dataset.values, stage)
+        document = heat_document(found, dataset.name)
+        if json is not None:
+            json.write_text(json_text.dumps(document, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+        if html is not None:
+            write_heat_page(document, html)
+    console = Console(highlight=False)
+    print_heat(document, console)
+    for what, path in (("JSON", json), ("page", html)):
+        if path is not None:
+            console.print(f"\n{what}: ", path, sep="", style="dim", markup=False, soft_wrap=True)

@@ -1,0 +1,187 @@
+"""What a heat study says: a record for JSON, its terminal summary, and a page of figures drawn from the record."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import plotly.graph_objects as go
+from plotly.subplots import make_subplots
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from pgti_gtsam.diffusion import Study
+
+
+def heat_document(study: Study, name: str) -> dict[str, Any]:
+    """Everything found, ready for JSON; numbers that do not exist are null.
+
+    The keys a program would ask for are at the top level: `laplacian_defect_body`, `laplacian_defect_spatial`,
+    `steady_state_error`, `proxy_rank_correlation`, the last in GTSAM's own frame.
+    """
+    eq11 = study.equation_11
+    body = study.body
+    return {
+        "name": name,
+        "group": body.group,
+        "n_keyframes": len(body.keys),
+        "n_other_variables": len(body.other_keys),
+        "n_edges": len(study.edges),
+        "parts": study.parts,
+        "grounds_added": [str(ground.key) for ground in study.grounds],
+        "robust_factors": len(study.robust),
+        "laplacian_defect_body": study.laplacian_defect_body,
+        "laplacian_defect_spatial": study.laplacian_defect_spatial,
+        "equation_11_factors": len(eq11.slots),
+        "equation_11_antisymmetry": _largest(eq11.antisymmetry),
+        "equation_11_gtsam_jacobian": _largest(eq11.gtsam_jacobian),
+        "equation_11_right_jacobian": _largest(eq11.right_jacobian),
+        "largest_residual_rotation_rad": _largest(eq11.rotation_rad),
+        "steady_state_error": study.steady_state_error,
+        "slowest_eigenvalue": study.slowest,
+        "fastest_eigenvalue": study.fastest,
+        "proxy_rank_correlation": study.proxy_body.rank_correlation,
+        "proxy_rank_correlation_spatial": study.proxy_spatial.rank_correlation,
+        "proxy_largest_difference": _largest(study.proxy_body.differences),
+        "proxy_worst_keyframe": body.labels[study.proxy_body.worst],
+        "spreading_exponents": {
+            "body": _number(study.spread_body.exponent()),
+            "spatial": _number(study.spread_spatial.exponent()),
+            "scalar": _number(study.spread_scalar.exponent()),
+        },
+        "optimisers": [
+            {
+                "method": run.method,
+                "energies": run.energies.tolist(),
+                "first_step_is_flow_at": "the end" if math.isinf(run.time) else _number(run.time),
+                "first_step_missed_by": _number(run.miss),
+            }
+            for run in study.optimisers
+        ],
+        "flow": {"times": study.times.tolist(), "energies": study.energies.tolist()},
+        "proxy": {
+            "keyframes": [body.labels[vertex] for vertex in study.proxy_body.vertices],
+            "scalar": study.proxy_body.scalar[:, _MIDDLE].tolist(),
+            "block": study.proxy_body.block[:, _MIDDLE].tolist(),
+        },
+        "spreading": {
+            frame: dict(zip(("hops", "arrivals"), (part.tolist() for part in found.by_hops()), strict=True))
+            for frame, found in (
+                ("body", study.spread_body),
+                ("spatial", study.spread_spatial),
+                ("scalar", study.spread_scalar),
+            )
+        },
+    }
+
+
+_MIDDLE = 20
+"""Of the forty matched times: when about half of the heat has gone."""
+
+
+def _largest(found: Any) -> float | None:
+    return float(np.max(found)) if len(found) else None
+
+
+def _number(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
+def print_heat(document: Mapping[str, Any], console: Console) -> None:
+    """Print the findings, each with what it means."""
+    table = Table.grid(padding=(0, 2))
+    table.add_column(style="dim", no_wrap=True)
+    table.add_column()
+    table.add_column(style="dim")
+    for row in _rows(document):
+        table.add_row(*(Text(cell) for cell in row))
+    console.print(Text(document["name"], style="bold"))
+    console.print(table)
+
+
+def _rows(document: Mapping[str, Any]) -> list[tuple[str, str, str]]:
+    exponents = document["spreading_exponents"]
+    others = document["n_other_variables"]
+    rows = [
+        ("keyframes", f"{document['n_keyframes']} {document['group']}", f"{document['n_edges']} pairs exchange heat"),
+        ("parts", f"{document['parts']}", f"{len(document['grounds_added'])} held for this study, as no factor does"),
+        *([("marginalised", f"{others}", "landmarks and other variables")] if others else []),
+        ("defect, GTSAM's frame", _short(document["laplacian_defect_body"]), "0 for a block Laplacian"),
+        ("defect, spatial frame", _short(document["laplacian_defect_spatial"]), "Eq. 12 holds where 0"),
+        (
+            "Eq. 11, A = −B",
+            _short(document["equation_11_antisymmetry"]),
+            f"worst of {document['equation_11_factors']} between factors",
+        ),
+        ("steady state, Gauss-Newton", _short(document["steady_state_error"]), "distance relative to the step"),
+        (
+            "scalar Laplacian as a proxy",
+            _short(document["proxy_rank_correlation"]),
+            "rank correlation of heat left",
+        ),
+        (
+            "arrival ~ hops to the power",
+            ", ".join(f"{frame} {value:.1f}" for frame, value in exponents.items() if value is not None) or "–",
+            "2 is heat, 4 is bending",
+        ),
+    ]
+    for run in document["optimisers"]:
+        rows.append((run["method"], *_step(run)))
+    return rows
+
+
+def _step(run: Mapping[str, Any]) -> tuple[str, str]:
+    if not run["energies"]:
+        return "none", "the optimiser found the graph singular"
+    at = run["first_step_is_flow_at"]
+    time = at if isinstance(at, str) else f"t = {_short(at)}"
+    return time, f"where its first step is, missed by {_short(run['first_step_missed_by'])}"
+
+
+def _short(value: float | None) -> str:
+    return "–" if value is None else f"{value:.3g}"
+
+
+def write_heat_page(document: Mapping[str, Any], path: Path) -> None:
+    """Write the figures to one HTML file that needs no network."""
+    figure = make_subplots(
+        rows=1,
+        cols=3,
+        subplot_titles=("Energy along the flow", "Heat left at keyframes", "When half of a shift has arrived"),
+    )
+    flow, proxy = document["flow"], document["proxy"]
+    figure.add_scatter(x=flow["times"], y=flow["energies"], mode="lines", name="heat flow", row=1, col=1)
+    figure.add_scatter(
+        x=proxy["scalar"],
+        y=proxy["block"],
+        text=proxy["keyframes"],
+        mode="markers",
+        name="keyframes",
+        marker={"size": 5},
+        row=1,
+        col=2,
+    )
+    for frame, found in document["spreading"].items():
+        figure.add_scatter(x=found["hops"], y=found["arrivals"], mode="lines+markers", name=frame, row=1, col=3)
+    figure.update_xaxes(type="log", title_text="time, 1/H", row=1, col=1)
+    figure.update_yaxes(type="log", title_text="½‖e + Jδ‖²", row=1, col=1)
+    figure.update_xaxes(title_text="by the scalar Laplacian", row=1, col=2)
+    figure.update_yaxes(title_text="by H", row=1, col=2)
+    figure.update_xaxes(type="log", title_text="hops", row=1, col=3)
+    figure.update_yaxes(type="log", title_text="time, each on its own clock", row=1, col=3)
+    correlation = _short(document["proxy_rank_correlation"])
+    figure.update_layout(
+        title={"text": f"{_plain(document['name'])}: rank correlation of the scalar Laplacian {correlation}"},
+        template="plotly_white",
+        height=520,
+    )
+    go.Figure(figure).write_html(path, include_plotlyjs=True, full_html=True)
+
+
+def _plain(name: str) -> str:
+    """A file's name that a page shows as it is, whatever it holds."""
+    return name.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
