@@ -9,8 +9,9 @@ from typing import Annotated
 
 import typer
 
-from pgti_gtsam.errors import PgtiError
+from pgti_gtsam.errors import InvalidOptionError, PgtiError
 from scenarios import kitti
+from scenarios import scans as scan_graphs
 from scenarios import speed as speed_experiment
 
 RESULTS = Path(__file__).parent / "results"
@@ -57,6 +58,26 @@ def gate_kitti(
     print(text)
     if not all(row["passes"] for row in found.values()):
         raise typer.Exit(1)
+
+
+@app.command()
+def scans(
+    data: Annotated[Path, typer.Option(help="Folder of the scan graphs, or of all data.")],
+    seeds: Annotated[str, typer.Option(help="Seeds of the false closures, between commas.")] = "0,1,2,3,4",
+    out: Annotated[Path, typer.Option(help="Where the JSON goes.")] = RESULTS / "scans.json",
+) -> None:
+    """Scan graphs with false closures between places at least 5 m apart, through the gate. Two minutes."""
+    found = scan_graphs.run(data, _whole_numbers(seeds), tell=print)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    out.write_text(json_text.dumps(found, indent=1) + "\n", encoding="utf-8")
+    print(f"results: {out}")
+
+
+def _whole_numbers(text: str) -> list[int]:
+    try:
+        return [int(name) for name in _names(text)]
+    except ValueError as error:
+        raise InvalidOptionError(f"expected whole numbers between commas, got {text!r}") from error
 
 
 def _names(text: str) -> list[str]:

@@ -31,6 +31,13 @@ PRODUCTS = 500.0
 and exact."""
 
 POLE_TOLERANCE = 1e-10
+
+VANISHING_PIVOT = 1e-9
+"""A pivot below this share of its diagonal entry is rounding. Of six standard graphs the least held one has 2e-8 (CSAIL);
+those that nothing holds have 5e-11 at most, or less than nothing."""
+
+NOT_HELD = "expected a graph whose every part is held by a prior, got a singular one; add its `grounds`"
+
 REFINEMENTS = 3
 """Steps of iterative refinement. Normal equations lose twice the digits that the Jacobian loses; a step with
 the gradient taken
@@ -92,9 +99,7 @@ def factorised(matrix: sparse.csc_array) -> Any:
     try:
         return splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
     except RuntimeError as error:
-        raise UnsolvableGraphError(
-            "expected a graph whose every part is held by a prior, got a singular one; add its `grounds`"
-        ) from error
+        raise UnsolvableGraphError(NOT_HELD) from error
 
 
 def steady_state(equations: NormalEquations) -> FloatArray:
@@ -107,13 +112,13 @@ def steady_state(equations: NormalEquations) -> FloatArray:
     """
     matrix = sparse.csc_array(equations.hessian)
     factor = factorised(matrix)
+    if (factor.U.diagonal() < VANISHING_PIVOT * matrix.diagonal()[np.argsort(factor.perm_c)]).any():
+        raise UnsolvableGraphError(NOT_HELD)
     solution: FloatArray = factor.solve(-equations.gradient)
     for _ in range(REFINEMENTS):
         solution = solution - factor.solve(equations.gradient_at(solution))
     if not np.isfinite(solution).all():
-        raise UnsolvableGraphError(
-            "expected a graph whose every part is held by a prior, got a singular one; add its `grounds`"
-        )
+        raise UnsolvableGraphError(NOT_HELD)
     return solution
 
 
