@@ -11,7 +11,8 @@ from rich.console import Console
 
 from pgti_gtsam.cli.options import Map, Values, check_outputs, read_map, stages
 from pgti_gtsam.diffusion import study
-from pgti_gtsam.report.heat import heat_document, print_heat, write_heat_page
+from pgti_gtsam.report.heat import heat_document, write_heat_page
+from pgti_gtsam.report.terminal import print_heat
 
 
 def diffusion(

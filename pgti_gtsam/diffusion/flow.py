@@ -33,7 +33,7 @@ and exact."""
 POLE_TOLERANCE = 1e-10
 
 VANISHING_PIVOT = 1e-9
-"""A pivot below this share of its diagonal entry is rounding. Of six standard graphs the least held one has 2e-8 (CSAIL);
+"""A pivot below this share of its diagonal entry is rounding. Of six standard graphs the least held has 2e-8 (CSAIL);
 those that nothing holds have 5e-11 at most, or less than nothing."""
 
 NOT_HELD = "expected a graph whose every part is held by a prior, got a singular one; add its `grounds`"

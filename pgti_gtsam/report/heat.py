@@ -1,4 +1,4 @@
-"""What a heat study says: a record for JSON, its terminal summary, and a page of figures drawn from the record."""
+"""What a heat study says: a record for JSON, and a page of figures drawn from the record."""
 
 from __future__ import annotations
 
@@ -10,9 +10,6 @@ from typing import Any
 import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
-from rich.console import Console
-from rich.table import Table
-from rich.text import Text
 
 from pgti_gtsam.diffusion import Study
 
@@ -91,61 +88,6 @@ def _number(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
 
 
-def print_heat(document: Mapping[str, Any], console: Console) -> None:
-    """Print the findings, each with what it means."""
-    table = Table.grid(padding=(0, 2))
-    table.add_column(style="dim", no_wrap=True)
-    table.add_column()
-    table.add_column(style="dim")
-    for row in _rows(document):
-        table.add_row(*(Text(cell) for cell in row))
-    console.print(Text(document["name"], style="bold"))
-    console.print(table)
-
-
-def _rows(document: Mapping[str, Any]) -> list[tuple[str, str, str]]:
-    exponents = document["spreading_exponents"]
-    others = document["n_other_variables"]
-    rows = [
-        ("keyframes", f"{document['n_keyframes']} {document['group']}", f"{document['n_edges']} pairs exchange heat"),
-        ("parts", f"{document['parts']}", f"{len(document['grounds_added'])} held for this study, as no factor does"),
-        *([("marginalised", f"{others}", "landmarks and other variables")] if others else []),
-        ("defect, GTSAM's frame", _short(document["laplacian_defect_body"]), "0 for a block Laplacian"),
-        ("defect, spatial frame", _short(document["laplacian_defect_spatial"]), "Eq. 12 holds where 0"),
-        (
-            "Eq. 11, A = −B",
-            _short(document["equation_11_antisymmetry"]),
-            f"worst of {document['equation_11_factors']} between factors",
-        ),
-        ("steady state, Gauss-Newton", _short(document["steady_state_error"]), "distance relative to the step"),
-        (
-            "scalar Laplacian as a proxy",
-            _short(document["proxy_rank_correlation"]),
-            "rank correlation of heat left",
-        ),
-        (
-            "arrival ~ hops to the power",
-            ", ".join(f"{frame} {value:.1f}" for frame, value in exponents.items() if value is not None) or "–",
-            "2 is heat, 4 is bending",
-        ),
-    ]
-    for run in document["optimisers"]:
-        rows.append((run["method"], *_step(run)))
-    return rows
-
-
-def _step(run: Mapping[str, Any]) -> tuple[str, str]:
-    if not run["energies"]:
-        return "none", "the optimiser found the graph singular"
-    at = run["first_step_is_flow_at"]
-    time = at if isinstance(at, str) else f"t = {_short(at)}"
-    return time, f"where its first step is, missed by {_short(run['first_step_missed_by'])}"
-
-
-def _short(value: float | None) -> str:
-    return "–" if value is None else f"{value:.3g}"
-
-
 def write_heat_page(document: Mapping[str, Any], path: Path) -> None:
     """Write the figures to one HTML file that needs no network."""
     figure = make_subplots(
@@ -173,7 +115,7 @@ def write_heat_page(document: Mapping[str, Any], path: Path) -> None:
     figure.update_yaxes(title_text="by H", row=1, col=2)
     figure.update_xaxes(type="log", title_text="hops", row=1, col=3)
     figure.update_yaxes(type="log", title_text="time, each on its own clock", row=1, col=3)
-    correlation = _short(document["proxy_rank_correlation"])
+    correlation = f"{document['proxy_rank_correlation']:.3g}"
     figure.update_layout(
         title={"text": f"{_plain(document['name'])}: rank correlation of the scalar Laplacian {correlation}"},
         template="plotly_white",
