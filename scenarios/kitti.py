@@ -14,13 +14,13 @@ from typing import Any
 
 import gtsam
 import numpy as np
-from evo.core import metrics, trajectory
 
 import pgti_gtsam as pgti
 from pgti_gtsam import datasets
 from pgti_gtsam.datasets import Dataset
 from pgti_gtsam.errors import InvalidOptionError
 from pgti_gtsam.gate.trial import optimised
+from scenarios.measures import ate_m
 
 EVERY, RADIUS_M = 5, 4.0
 TRUE_ACCEPTED, FALSE_ACCEPTED = 0.98, 0.02
@@ -139,18 +139,7 @@ def gated(path: Path) -> Row:
 
 
 def _ate_m(dataset: Dataset, values: gtsam.Values) -> float | None:
-    """Root mean square of the absolute trajectory error after rigid alignment, by evo."""
-    if dataset.truth is None:
-        return None
-    keys = [key for key in dataset.truth.keys() if values.exists(key)]  # noqa: SIM118
-    truth, estimate = (
-        trajectory.PosePath3D(poses_se3=[gtsam.Pose3(poses.atPose2(key)).matrix() for key in keys])
-        for poses in (dataset.truth, values)
-    )
-    estimate.align(truth)
-    error = metrics.APE(metrics.PoseRelation.translation_part)
-    error.process_data((truth, estimate))
-    return float(error.get_statistic(metrics.StatisticsType.rmse))
+    return None if dataset.truth is None else ate_m(dataset.truth, values)
 
 
 def _worst(errors: list[float | None]) -> float | None:
