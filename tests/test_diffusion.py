@@ -275,7 +275,7 @@ def test_the_command_writes_json_and_a_page(tmp_path, monkeypatch, capsys):
     assert "Gauss-Newton" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("name", ["MIT", "intel"])
+@pytest.mark.parametrize("name", ["MIT", "intel", "parking-garage", "sphere2500"])
 def test_real_graphs_hold_the_laws(name):
     path = DATA / f"{name}.g2o"
     if not path.is_file():
