@@ -81,9 +81,26 @@ def streets(
     out: Annotated[Path, typer.Option(help="A JSON line a trial; known ones are kept.")] = RESULTS / "streets.jsonl",
 ) -> None:
     """Look-alike crossings: the gate and ten other methods, told right and wrong covariances. Five minutes."""
-    rows = aliasing.run(out, _whole_numbers(seeds), scheduler, tell=print)
+    rows = aliasing.run(out, list(aliasing.street_trials(_whole_numbers(seeds))), scheduler, tell=print)
     figure.draw(rows, out.with_suffix(".png"))
-    print(aliasing.table(rows))
+    print(aliasing.table([row for row in rows if row["share"] == 1.0], "told"))
+    print(f"results: {out}")
+
+
+@app.command("field")
+def outliers_in_standard_graphs(
+    data: Annotated[Path, typer.Option(help="Folder of the standard graphs, or of all data.")],
+    graphs: Annotated[str, typer.Option(help="Names of planar graphs, between commas.")] = "CSAIL,MIT",
+    seeds: Annotated[str, typer.Option(help="Seeds of the outliers, between commas.")] = "0,1,2,3,4",
+    scheduler: Annotated[str | None, typer.Option(help="Address of a Dask scheduler; a local cluster without.")] = None,
+    out: Annotated[Path, typer.Option(help="A JSON line a trial; known ones are kept.")] = RESULTS / "field.jsonl",
+) -> None:
+    """Random outliers among the closures of standard graphs, at 10, 50 and 100 % of the inliers, by every method."""
+    folder = data / "pose_graphs" if (data / "pose_graphs").is_dir() else data
+    paths = [folder / f"{name}.g2o" for name in _names(graphs)]
+    rows = aliasing.run(out, list(aliasing.field_trials(paths, _whole_numbers(seeds))), scheduler, tell=print)
+    for name in _names(graphs):
+        print(f"\n{name}\n" + aliasing.table([row for row in rows if row["world"] == name], "share"))
     print(f"results: {out}")
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator, Sequence
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -16,25 +17,38 @@ import numpy as np
 from dask.distributed import Client, LocalCluster, as_completed
 
 from scenarios import measures
-from scenarios.aliasing import methods, streets
+from scenarios.aliasing import field, methods, streets
+from scenarios.problem import Problem
 
-Trial = tuple[int, str, float, str]
+Trial = tuple[str, int, str, float, str]
+"""World, seed, told, share, method. A world is "streets" or the path of a standard graph."""
+
 SHARES = (0.1, 0.5, 1.0)
 
 
-def trials(seeds: Sequence[int]) -> Iterator[Trial]:
-    """Seed, told, share, method: all noise models at equal shares, and all shares with the right one."""
+def street_trials(seeds: Sequence[int]) -> Iterator[Trial]:
+    """All noise models at equal shares, and all shares with the right one."""
     for seed in seeds:
         for told in streets.TOLD:
             for share in SHARES if told == "right" else (1.0,):
                 for method in methods.METHODS:
-                    yield seed, told, share, method
+                    yield "streets", seed, told, share, method
 
 
-def run_trial(seed: int, told: str, share: float, method: str) -> dict[str, Any]:
+def field_trials(paths: Sequence[Path], seeds: Sequence[int]) -> Iterator[Trial]:
+    """All shares, with the noise models of the files."""
+    for path, seed, share, method in product(paths, seeds, SHARES, methods.METHODS):
+        yield str(path), seed, "the file's", share, method
+
+
+def _problem(world: str, seed: int, told: str, share: float) -> Problem:
+    return streets.problem(seed, told, share=share) if world == "streets" else field.problem(Path(world), seed, share)
+
+
+def run_trial(world: str, seed: int, told: str, share: float, method: str) -> dict[str, Any]:
     """One row."""
-    problem = streets.problem(seed, told, share=share)
-    row: dict[str, Any] = {"seed": seed, "told": told, "share": share, "method": method}
+    problem = _problem(world, seed, told, share)
+    row: dict[str, Any] = {"world": Path(world).stem, "seed": seed, "told": told, "share": share, "method": method}
     try:
         outcome = methods.solve(problem, method)
     except RuntimeError as error:  # what GTSAM raises where its solver gives up
@@ -62,12 +76,13 @@ def _run(trial: Trial) -> dict[str, Any]:
     return run_trial(*trial)
 
 
-def run(path: Path, seeds: Sequence[int], scheduler: str | None, tell: Callable[[str], None]) -> list[dict[str, Any]]:
+def run(
+    path: Path, wanted: Sequence[Trial], scheduler: str | None, tell: Callable[[str], None]
+) -> list[dict[str, Any]]:
     """Run what the file does not hold yet; all rows, in the order of the trials."""
     path.parent.mkdir(parents=True, exist_ok=True)
     done = {_key(row): row for row in _rows(path)}
-    wanted = list(trials(seeds))
-    missing = [trial for trial in wanted if trial not in done]
+    missing = [trial for trial in wanted if _name(trial) not in done]
     tell(f"{len(wanted)} trials, {len(wanted) - len(missing)} of them known")
     if missing:
         cluster = None if scheduler else LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None)
@@ -82,11 +97,16 @@ def run(path: Path, seeds: Sequence[int], scheduler: str | None, tell: Callable[
                     tell(f"{count} of {len(missing)}")
         if cluster is not None:
             cluster.close()
-    return [done[trial] for trial in wanted]
+    return [done[_name(trial)] for trial in wanted]
+
+
+def _name(trial: Trial) -> Trial:
+    """The trial as its row has it, wherever the data lies."""
+    return Path(trial[0]).stem, *trial[1:]
 
 
 def _key(row: dict[str, Any]) -> Trial:
-    return row["seed"], row["told"], row["share"], row["method"]
+    return row["world"], row["seed"], row["told"], row["share"], row["method"]
 
 
 def _rows(path: Path) -> Iterator[dict[str, Any]]:
@@ -108,15 +128,14 @@ def mean_and_interval(found: Sequence[float], seed: int = 0) -> tuple[float, flo
     return float(array.mean()), float(low), float(high)
 
 
-def table(rows: Sequence[dict[str, Any]]) -> str:
-    """Markdown: mean F1 over seeds, by method and told noise, at as many false closures as true ones."""
-    head = "| method | " + " | ".join(streets.TOLD) + " | worst |\n|---|" + "---|" * (len(streets.TOLD) + 1)
-    lines = [head]
+def table(rows: Sequence[dict[str, Any]], by: str) -> str:
+    """Markdown: mean F1 over seeds, by method and by what a key of the rows holds."""
+    columns = list(dict.fromkeys(row[by] for row in rows))
+    lines = [f"| method | {' | '.join(map(str, columns))} | worst |", "|---|" + "---|" * (len(columns) + 1)]
     for method in methods.METHODS:
-        means = []
-        for told in streets.TOLD:
-            wanted = (method, told, 1.0)
-            found = [row["f1"] for row in rows if (row["method"], row["told"], row["share"]) == wanted]
-            means.append(float(np.mean(found)))
-        lines.append(f"| {method} | " + " | ".join(f"{mean:.2f}" for mean in means) + f" | {min(means):.2f} |")
+        means = [
+            float(np.mean([row["f1"] for row in rows if (row["method"], row[by]) == (method, column)]))
+            for column in columns
+        ]
+        lines.append(f"| {method} | {' | '.join(f'{mean:.2f}' for mean in means)} | {min(means):.2f} |")
     return "\n".join(lines)
