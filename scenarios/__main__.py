@@ -95,7 +95,7 @@ def outliers_in_standard_graphs(
     scheduler: Annotated[str | None, typer.Option(help="Address of a Dask scheduler; a local cluster without.")] = None,
     out: Annotated[Path, typer.Option(help="A JSON line a trial; known ones are kept.")] = RESULTS / "field.jsonl",
 ) -> None:
-    """Random outliers among the closures of standard graphs, at 10, 50 and 100 % of the inliers, by every method."""
+    """Random outliers, 10 to 100 % of the inliers, in standard graphs, by every method. Twenty minutes."""
     folder = data / "pose_graphs" if (data / "pose_graphs").is_dir() else data
     paths = [folder / f"{name}.g2o" for name in _names(graphs)]
     rows = aliasing.run(out, list(aliasing.field_trials(paths, _whole_numbers(seeds))), scheduler, tell=print)
