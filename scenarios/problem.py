@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import gtsam
 import numpy as np
@@ -18,10 +19,10 @@ class Problem:
     ----------
     name : str
     graph : gtsam.NonlinearFactorGraph
-        The map without any candidate: a prior, odometry, landmark factors. All noise models are the
-        ones that methods are told, whatever the noise was.
+        The map without any candidate: a prior, then odometry in order. All noise models are the ones that
+        methods are told, whatever the noise was.
     values : gtsam.Values
-        First estimates: odometry chained, landmarks placed from there.
+        First estimates: odometry chained.
     closures : tuple of gtsam.NonlinearFactorGraph
         Candidates, one between factor each, by the later of their keyframes.
     true : (n_closures,) bool
@@ -29,8 +30,8 @@ class Problem:
     overlapping : (n_closures,) bool
         Of false candidates, those that would lay free space upon free space which nothing connects; the
         others are beyond the reach of PGTI, as its paper states. True of every true one.
-    radii : float, mapping from key to float, or None
-        m; None where landmark factors give them.
+    radii : float, or mapping from key to float
+        m.
     truth : gtsam.Values
         Poses only, in a frame of their own.
     """
@@ -41,5 +42,38 @@ class Problem:
     closures: tuple[gtsam.NonlinearFactorGraph, ...]
     true: NDArray[np.bool_]
     overlapping: NDArray[np.bool_]
-    radii: float | Mapping[int, float] | None
+    radii: float | Mapping[int, float]
     truth: gtsam.Values
+
+    @property
+    def planar(self) -> bool:
+        """Whether keyframes are `Pose2`; `Pose3` otherwise."""
+        return isinstance(self.graph.at(0), gtsam.PriorFactorPose2)
+
+    @property
+    def n_keyframes(self) -> int:
+        """Their keys are 0 to this, exclusive."""
+        return int(self.truth.size())
+
+    def poses(self, values: gtsam.Values) -> list[Any]:
+        """All keyframes' poses in some values, in order."""
+        at = values.atPose2 if self.planar else values.atPose3
+        return [at(key) for key in range(self.n_keyframes)]
+
+
+def between(i: int, j: int, measured: gtsam.Pose2 | gtsam.Pose3, noise: gtsam.noiseModel.Base) -> Any:
+    """The between factor of the poses' own kind."""
+    factor = gtsam.BetweenFactorPose2 if isinstance(measured, gtsam.Pose2) else gtsam.BetweenFactorPose3
+    return factor(i, j, measured, noise)
+
+
+def alone(factor: Any) -> gtsam.NonlinearFactorGraph:
+    """A graph of one factor."""
+    graph = gtsam.NonlinearFactorGraph()
+    graph.add(factor)
+    return graph
+
+
+def space(pose: gtsam.Pose2 | gtsam.Pose3) -> gtsam.Pose3:
+    """A pose of the plane as one in space, any other as it is."""
+    return gtsam.Pose3(pose) if isinstance(pose, gtsam.Pose2) else pose

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 import pgti_gtsam as pgti
-from scenarios.problem import Problem
+from scenarios.problem import Problem, between
 
 CONFIDENCE = 0.99
 """Of every χ² test."""
@@ -28,21 +28,34 @@ CONFIDENCE = 0.99
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Outcome:
-    """What a method made of a problem: (n_closures,) accepted, the values in the end, processor time in s."""
+    """What a method made of a problem.
+
+    Attributes
+    ----------
+    accepted : (n_closures,) bool
+    confidence : (n_closures,) float
+        The more, the more the method believes in a closure; only the order means anything.
+    values : gtsam.Values
+        In the end.
+    seconds : float
+        Processor time.
+    """
 
     accepted: NDArray[np.bool_]
+    confidence: NDArray[np.float64]
     values: gtsam.Values
     seconds: float
+
+
+Answer = tuple[NDArray[np.bool_], NDArray[np.float64], gtsam.Values]
 
 
 def solve(problem: Problem, method: str) -> Outcome:
     """Run a method of `METHODS`."""
     started = time.process_time()
-    accepted, values = METHODS[method](problem)
-    return Outcome(accepted=accepted, values=values, seconds=time.process_time() - started)
-
-
-Answer = tuple[NDArray[np.bool_], gtsam.Values]
+    accepted, confidence, values = METHODS[method](problem)
+    seconds = time.process_time() - started
+    return Outcome(accepted=accepted, confidence=confidence, values=values, seconds=seconds)
 
 
 def joined(problem: Problem, accepted: NDArray[np.bool_]) -> gtsam.NonlinearFactorGraph:
@@ -61,7 +74,7 @@ def optimised(problem: Problem, accepted: NDArray[np.bool_]) -> gtsam.Values:
 
 def _no_gate(problem: Problem) -> Answer:
     accepted = np.ones(len(problem.closures), dtype=bool)
-    return accepted, optimised(problem, accepted)
+    return accepted, np.zeros(len(accepted)), optimised(problem, accepted)
 
 
 def _gate(problem: Problem, rule: str) -> Answer:
@@ -69,74 +82,77 @@ def _gate(problem: Problem, rule: str) -> Answer:
     gate = pgti.LoopClosureGate(options=pgti.GateOptions(rule=rule))
     result = pgti.gate_graph(graph, problem.values, radii=problem.radii, gate=gate)
     first = problem.graph.size()
-    believed = set(result.accepted)
-    return np.array([first + k in believed for k in range(len(problem.closures))]), result.values
+    decisions = [result.decisions[first + k] for k in range(len(problem.closures))]
+    accepted = np.array([decision.accepted for decision in decisions])
+    if rule == "global_rise":
+        doubts = [decision.global_score.rise for decision in decisions]
+    else:
+        doubts = [decision.doubt for decision in decisions]
+    return accepted, -np.array(doubts), result.values
 
 
 def _chi_squared(problem: Problem) -> Answer:
-    """In time order: the closure's error against its covariance given all before."""
-    limit = stats.chi2.ppf(CONFIDENCE, 3)
-    accepted = np.zeros(len(problem.closures), dtype=bool)
-    graph, values = gtsam.NonlinearFactorGraph(problem.graph), problem.values
-    marginals = None
+    """In time order: the closure's error against its covariance given all before, by iSAM2."""
+    isam = gtsam.ISAM2()
+    isam.update(problem.graph, problem.values)
+    accepted, squares = np.zeros(len(problem.closures), dtype=bool), np.zeros(len(problem.closures))
+    values = isam.calculateBestEstimate()
     for k, closure in enumerate(problem.closures):
         factor = closure.at(0)
-        if marginals is None:
-            values = gtsam.LevenbergMarquardtOptimizer(graph, values).optimize()
-            marginals = gtsam.Marginals(graph, values)
         i, j = factor.keys()
-        spread = marginals.jointMarginalCovariance([i, j])
+        spread = isam.jointMarginalCovariance([i, j])
         joint = np.block([[spread.at(a, b) for b in (i, j)] for a in (i, j)])
         jacobian, right = factor.linearize(values).jacobian()
-        jacobian, right = jacobian.reshape(3, 6), np.asarray(right)
-        if right @ np.linalg.solve(np.eye(3) + jacobian @ joint @ jacobian.T, right) <= limit:
+        right, n = np.asarray(right), factor.dim()
+        jacobian = jacobian.reshape(n, 2 * n)
+        squares[k] = right @ np.linalg.solve(np.eye(n) + jacobian @ joint @ jacobian.T, right)
+        if squares[k] <= stats.chi2.ppf(CONFIDENCE, n):
             accepted[k] = True
-            graph.push_back(closure)
-            marginals = None
-    return accepted, optimised(problem, accepted)
+            isam.update(closure, gtsam.Values())
+            values = isam.calculateBestEstimate()
+    return accepted, -squares, optimised(problem, accepted)
 
 
 def _largest_edge_error(problem: Problem) -> Answer:
     """In time order: rejected when after optimisation any edge misses by more than three sigma."""
-    accepted = np.zeros(len(problem.closures), dtype=bool)
+    accepted, worst = np.zeros(len(problem.closures), dtype=bool), np.zeros(len(problem.closures))
     graph, values = gtsam.NonlinearFactorGraph(problem.graph), problem.values
     for k, closure in enumerate(problem.closures):
         attempt = gtsam.NonlinearFactorGraph(graph)
         attempt.push_back(closure)
         after = gtsam.LevenbergMarquardtOptimizer(attempt, values).optimize()
-        worst = max(np.abs(attempt.at(s).whitenedError(after)).max() for s in range(1, attempt.size()))
-        if worst <= 3:
+        worst[k] = max(np.abs(attempt.at(s).whitenedError(after)).max() for s in range(1, attempt.size()))
+        if worst[k] <= 3:
             accepted[k] = True
             graph, values = attempt, after
-    return accepted, values
+    return accepted, -worst, values
 
 
 def _pairwise_consistent(problem: Problem) -> Answer:
     """PCM: the largest set of closures of which any two agree with odometry."""
     pairs = _consistent(problem)
-    network = nx.from_numpy_array(pairs)
-    clique, _ = nx.max_weight_clique(network, weight=None)
+    clique, _ = nx.max_weight_clique(nx.from_numpy_array(pairs), weight=None)
     accepted = np.zeros(len(problem.closures), dtype=bool)
     accepted[clique] = True
-    return accepted, optimised(problem, accepted)
+    return accepted, pairs[:, clique].mean(axis=1), optimised(problem, accepted)
 
 
 def _consistent(problem: Problem) -> NDArray[np.bool_]:
-    poses = [problem.values.atPose2(k) for k in range(problem.truth.size())]
+    poses = problem.poses(problem.values)
     steps = [problem.graph.at(s) for s in range(1, problem.graph.size())]
-    sums = [np.zeros((3, 3))]
+    sums = [np.zeros_like(poses[0].AdjointMap())]
     for pose, step in zip(poses[1:], steps, strict=True):
         adjoint = pose.AdjointMap()
         sums.append(sums[-1] + adjoint @ _covariance(step) @ adjoint.T)
     closures = [closure.at(0) for closure in problem.closures]
-    n, limit = len(closures), stats.chi2.ppf(CONFIDENCE, 3)
+    n, limit = len(closures), stats.chi2.ppf(CONFIDENCE, len(sums[0]))
     agree = np.zeros((n, n), dtype=bool)
     for a in range(n):
         (i, j), first = closures[a].keys(), closures[a].measured()
         for b in range(a + 1, n):
             (k, m), second = closures[b].keys(), closures[b].measured()
             loop = poses[i].between(poses[k]).compose(second).compose(poses[m].between(poses[j]))
-            error = gtsam.Pose2.Logmap(first.inverse().compose(loop))
+            error = first.logmap(loop)
             to_j, to_end = poses[j].inverse().AdjointMap(), poses[m].between(poses[j]).inverse().AdjointMap()
             start = loop.inverse().compose(poses[i].inverse()).AdjointMap()
             spread = _covariance(closures[a]) + to_end @ _covariance(closures[b]) @ to_end.T
@@ -160,19 +176,19 @@ def _gnc(problem: Problem, loss: Any) -> Answer:
     parameters.setKnownInliers(list(range(problem.graph.size())))
     optimiser = gtsam.GncLMOptimizer(graph, problem.values, parameters)
     values = optimiser.optimize()
-    return np.asarray(optimiser.getWeights())[problem.graph.size() :] > 0.5, values
+    weights = np.asarray(optimiser.getWeights())[problem.graph.size() :]
+    return weights > 0.5, weights, values
 
 
 def _kernel(problem: Problem, estimator: Any) -> Answer:
     graph = gtsam.NonlinearFactorGraph(problem.graph)
     for closure in problem.closures:
         factor = closure.at(0)
-        i, j = factor.keys()
         robust = gtsam.noiseModel.Robust.Create(estimator, factor.noiseModel())
-        graph.add(gtsam.BetweenFactorPose2(i, j, factor.measured(), robust))
+        graph.add(between(*factor.keys(), factor.measured(), robust))
     values = gtsam.LevenbergMarquardtOptimizer(graph, problem.values).optimize()
-    norms = [np.sqrt(2 * closure.error(values)) for closure in problem.closures]
-    return np.array([estimator.weight(norm) > 0.5 for norm in norms]), values
+    norms = np.array([np.sqrt(2 * closure.error(values)) for closure in problem.closures])
+    return np.array([estimator.weight(norm) > 0.5 for norm in norms]), -norms, values
 
 
 _LOSSES = gtsam.noiseModel.mEstimator

@@ -1,0 +1,210 @@
+"""Worlds of walls and floors that look alike in many places, driven and sensed: from geometry to a problem.
+
+1. A layout (`layouts`) is driven at random (`driving`) with odometry that drifts (`drift`).
+2. Its sensor tracks landmarks (`sensors`, `landmarks`): as GTSAM factors they give the radii, through the adapter.
+3. Closures are proposed by what the surroundings look like (`appearance`), with the pose that alignment gives.
+4. Whether a proposal is true, and whether a false one makes free space overlap, is seen from the true poses.
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+import pgti_gtsam as pgti
+from scenarios.problem import Problem, alone, between
+from scenarios.worlds import appearance, drift, driving, landmarks
+from scenarios.worlds.layouts import LAYOUTS, Layout
+from scenarios.worlds.solid import Array
+
+TRUE_M, TRUE_RAD = 0.5, 0.2
+"""How far a measured relative pose may lie from the true one. Alignments err by a twentieth of it, or by metres."""
+
+MATCH = np.array([0.005, 0.005, 0.01, 0.1, 0.1, 0.05])
+"""Standard deviations of a match, on top of what alignment errs: roll, pitch, yaw in rad, x, y, z in m."""
+
+FACTORS = {"a tenth": 0.1, "a third": 1 / 3, "right": 1.0, "three times": 3.0, "ten times": 10.0}
+"""Sigmas that methods are told, in units of the true ones; "identity" tells them 1 rad and 1 m."""
+
+TOLD = (*FACTORS, "identity")
+
+REACH = 30
+"""Keyframes before a closure's later end that a false one carries along, when overlap is asked."""
+
+AROUND = 5
+"""Keyframes next to a closure's ends of which overlap is a matter of course."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Drive:
+    """One drive through a world, with all that was sensed.
+
+    Attributes
+    ----------
+    world : str
+    seed : int
+    layout : Layout
+    truth : list of gtsam.Pose3
+    odometry : Odometry
+    radii : dict of int to float
+        m, by keyframe, from landmark factors on the drifted poses.
+    n_sightings : (n,) int
+        Landmarks that each keyframe saw.
+    pairs : (k, 2) int
+        Proposed closures, earlier keyframe first.
+    measured : list of gtsam.Pose3
+    true, overlapping : (k,) bool
+        As in `Problem`.
+    """
+
+    world: str
+    seed: int
+    layout: Layout
+    truth: list[gtsam.Pose3]
+    odometry: drift.Odometry
+    radii: dict[int, float]
+    n_sightings: NDArray[np.int64]
+    pairs: NDArray[np.int64]
+    measured: list[gtsam.Pose3]
+    true: NDArray[np.bool_]
+    overlapping: NDArray[np.bool_]
+
+
+@functools.lru_cache(maxsize=2)
+def drive(world: str, seed: int, length_m: float | None = None) -> Drive:
+    """Drive through a world of `LAYOUTS`, for the layout's length where none is given."""
+    layout, random = LAYOUTS[world](), np.random.default_rng(seed)
+    truth = driving.drive(layout.ways, random, length_m or layout.length_m, layout.step_m)
+    sensor, solid = layout.sensor, layout.solid
+    odometry = drift.odometry(truth, random, planar=sensor.planar, scaled=sensor.name == "camera")
+    points = landmarks.places(solid, sensor, truth[0].z(), layout.landmarks_per_m2, random)
+    seen = landmarks.sightings(solid, sensor, truth, points, random)
+    found = appearance.proposals(solid, sensor, truth, random)
+    measured = [pose.compose(_match_error(random, sensor.planar)) for pose in found.measured]
+    radii = _radii(seen, odometry, layout)
+    true = np.array([_agrees(truth[i].between(truth[j]), m) for (i, j), m in zip(found.pairs, measured, strict=True)])
+    overlapping = [overlaps(truth, radii, *pair, m) for pair, m in zip(found.pairs.tolist(), measured, strict=True)]
+    return Drive(
+        world=world,
+        seed=seed,
+        layout=layout,
+        truth=truth,
+        odometry=odometry,
+        radii=radii,
+        n_sightings=np.array([len(tracks) for tracks in seen]),
+        pairs=found.pairs,
+        measured=measured,
+        true=true,
+        overlapping=true | np.array(overlapping, dtype=bool),
+    )
+
+
+def problem(world: str, seed: int, told: str = "right", *, share: float = 1.0, length_m: float | None = None) -> Problem:
+    """The drive as methods get it.
+
+    Parameters
+    ----------
+    world : str
+        Of `LAYOUTS`.
+    seed : int
+    told : str
+        Of `TOLD`.
+    share : float
+        False proposals per true one, as far as there are so many.
+    length_m : float, optional
+        Way driven; the layout's own without.
+    """
+    driven = drive(world, seed, length_m)
+    planar, start = driven.layout.sensor.planar, driven.truth[0]
+    chain = [start]
+    for step in driven.odometry.steps:
+        chain.append(chain[-1].compose(step))
+    steps, matches = (_noise(sigmas, told, planar) for sigmas in (driven.odometry.sigmas, MATCH))
+    graph, dim = gtsam.NonlinearFactorGraph(), 3 if planar else 6
+    prior = gtsam.PriorFactorPose2 if planar else gtsam.PriorFactorPose3
+    graph.add(prior(0, _flat(start, planar), gtsam.noiseModel.Isotropic.Sigma(dim, 1e-3)))
+    for i, step in enumerate(driven.odometry.steps):
+        graph.add(between(i, i + 1, _flat(step, planar), steps))
+    kept = _thinned(driven, share)
+    return Problem(
+        name=f"{world}-{seed}-{told}-{share}",
+        graph=graph,
+        values=_values(chain, planar),
+        closures=tuple(
+            alone(between(*driven.pairs[k].tolist(), _flat(driven.measured[k], planar), matches)) for k in kept
+        ),
+        true=driven.true[kept],
+        overlapping=driven.overlapping[kept],
+        radii=driven.radii,
+        truth=_values(driven.truth, planar),
+    )
+
+
+def overlaps(truth: list[gtsam.Pose3], radii: dict[int, float], i: int, j: int, measured: gtsam.Pose3) -> bool:
+    """Whether carrying the stretch that ends at j to where a closure puts it lays spheres on others.
+
+    Spheres that touch in truth do not count, nor do those next to the closure's ends.
+    """
+    places = np.array([pose.translation() for pose in truth])
+    size = np.array([radii[k] for k in range(len(truth))])
+    stretch = np.arange(max(j - REACH, i + AROUND), j - AROUND + 1)
+    others = np.setdiff1d(np.arange(stretch[0] if len(stretch) else 0), np.arange(i - AROUND, i + AROUND + 1))
+    if not len(stretch) or not len(others):
+        return False
+    carried = truth[i].compose(measured).compose(truth[j].inverse())
+    moved = places[stretch] @ carried.rotation().matrix().T + carried.translation()
+    reach = size[stretch, None] + size[others]
+    touching = np.linalg.norm(moved[:, None] - places[others], axis=2) < reach
+    touched = np.linalg.norm(places[stretch, None] - places[others], axis=2) < reach
+    return bool((touching & ~touched).any())
+
+
+def _agrees(true: gtsam.Pose3, measured: gtsam.Pose3) -> bool:
+    off = true.between(measured)
+    turned = np.linalg.norm(gtsam.Rot3.Logmap(off.rotation()))
+    return bool(np.linalg.norm(off.translation()) < TRUE_M and turned < TRUE_RAD)
+
+
+def _radii(seen: list[list[tuple[int, Array]]], odometry: drift.Odometry, layout: Layout) -> dict[int, float]:
+    scaled = [[(track, scale * at) for track, at in tracks] for tracks, scale in zip(seen, odometry.scales, strict=True)]
+    chain = [gtsam.Pose3()]
+    for step in odometry.steps:
+        chain.append(chain[-1].compose(step))
+    graph, values = landmarks.landmark_graph(scaled, chain, layout.sensor)
+    for i, step in enumerate(odometry.steps):
+        noise = gtsam.noiseModel.Unit.Create(3 if layout.sensor.planar else 6)
+        graph.add(between(i, i + 1, _flat(step, layout.sensor.planar), noise))
+    adapted = pgti.from_gtsam(graph, values)
+    return dict(zip(adapted.keys.tolist(), adapted.radii.tolist(), strict=True))
+
+
+def _match_error(random: np.random.Generator, planar: bool) -> gtsam.Pose3:
+    return gtsam.Pose3.Expmap(random.normal(0.0, MATCH) * (np.array([0, 0, 1, 1, 1, 0]) if planar else 1))
+
+
+def _thinned(driven: Drive, share: float) -> NDArray[np.int64]:
+    """True proposals and some of the false ones, by the later keyframe."""
+    random, false = np.random.default_rng(driven.seed), np.flatnonzero(~driven.true)
+    n_false = min(len(false), round(share * int(driven.true.sum())))
+    kept = np.concatenate([np.flatnonzero(driven.true), random.choice(false, n_false, replace=False)])
+    return kept[np.lexsort((driven.pairs[kept, 0], driven.pairs[kept, 1]))]
+
+
+def _noise(sigmas: Array, told: str, planar: bool) -> gtsam.noiseModel.Base:
+    own = sigmas[[3, 4, 2]] if planar else sigmas
+    return gtsam.noiseModel.Diagonal.Sigmas(np.ones_like(own) if told == "identity" else own * FACTORS[told])
+
+
+def _flat(pose: gtsam.Pose3, planar: bool) -> gtsam.Pose2 | gtsam.Pose3:
+    return gtsam.Pose2(pose.x(), pose.y(), pose.rotation().yaw()) if planar else pose
+
+
+def _values(poses: list[gtsam.Pose3], planar: bool) -> gtsam.Values:
+    values = gtsam.Values()
+    for key, pose in enumerate(poses):
+        values.insert(key, _flat(pose, planar))
+    return values

@@ -1,0 +1,124 @@
+"""Loop closures as a detector would propose them: it knows the shape of what is around, not where that is.
+
+Every keyframe's ranges are compared with those of all earlier ones, over every turn where the sensor sees all around
+(the idea of Scan Context: Kim and Kim, IROS 2018); the most alike are aligned by point-to-plane ICP. What aligns well
+is proposed, with the relative pose that ICP found.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import gtsam
+import numpy as np
+
+from scenarios.worlds.sensors import Sensor
+from scenarios.worlds.solid import Array, Hits, Solid
+
+RECENT_M = 25.0
+"""Way driven within which nobody looks for a closure."""
+
+N_BEST = 3
+"""Most alike earlier keyframes that are tried, each the best of its neighbourhood."""
+
+NEIGHBOURHOOD = 5
+"""Keyframes on either side of a better one that are not tried."""
+
+ALIKE = 0.2
+"""Largest root mean square difference of two views' log ranges."""
+
+ALIGNED = 0.9
+"""Least share of points that find a counterpart."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Proposals:
+    """Earlier and later keyframe, (n, 2) int, by the later one, and the relative poses that alignment found."""
+
+    pairs: Array
+    measured: list[gtsam.Pose3]
+
+
+def proposals(solid: Solid, sensor: Sensor, poses: Sequence[gtsam.Pose3], random: np.random.Generator) -> Proposals:
+    """What a detector proposes on a drive."""
+    scans = [_noisy(sensor.scan(solid, pose), sensor, random) for pose in poses]
+    views = np.stack([_view(scan, sensor) for scan in scans])
+    unlike, turns = _compared(views, sensor)
+    clouds = [_cloud(scan, sensor) for scan in scans]
+    step = float(np.median([np.linalg.norm(a.translation() - b.translation()) for a, b in zip(poses, poses[1:], strict=False)]))
+    pairs, measured = [], []
+    for j in range(len(poses)):
+        for i in _best(unlike[j], round(j - RECENT_M / step)):
+            found = _aligned(clouds[i], clouds[j], gtsam.Pose3(gtsam.Rot3.Yaw(turns[j, i]), np.zeros(3)), step)
+            if found is not None:
+                pairs.append((i, j))
+                measured.append(found)
+    return Proposals(pairs=np.array(pairs, dtype=int).reshape(-1, 2), measured=measured)
+
+
+def _noisy(scan: Hits, sensor: Sensor, random: np.random.Generator) -> Hits:
+    distances = scan.distances + random.normal(0.0, sensor.noise_m, scan.distances.shape)
+    with np.errstate(invalid="ignore"):
+        points = scan.points * (distances / scan.distances)[:, None]
+    return Hits(points=points, normals=scan.normals, distances=distances)
+
+
+def _view(scan: Hits, sensor: Sensor) -> Array:
+    return np.log1p(np.minimum(scan.distances, sensor.reach_m)).reshape(sensor.grid)
+
+
+def _compared(views: Array, sensor: Sensor) -> tuple[Array, Array]:
+    """Root mean square difference of every two views at the best turn, and that turn in rad, [later, earlier]."""
+    n, n_azimuths = len(views), views.shape[1]
+    flat = views.reshape(n, -1)
+    power = (flat**2).mean(axis=1)
+    if not sensor.all_around:
+        square = power[:, None] + power - 2 * flat @ flat.T / flat.shape[1]
+        return np.sqrt(np.maximum(square, 0)), np.zeros((n, n))
+    waves = np.fft.rfft(views, axis=1)
+    square, turns = np.empty((n, n)), np.empty((n, n))
+    for j in range(n):
+        products = np.fft.irfft((waves * waves[j].conj()).sum(axis=2), n=n_azimuths, axis=1) / flat.shape[1]
+        best = products.argmax(axis=1)
+        square[j] = power[j] + power - 2 * products[np.arange(n), best]
+        turns[j] = 2 * np.pi * best / n_azimuths
+    return np.sqrt(np.maximum(square, 0)), turns
+
+
+def _best(unlike: Array, until: int) -> list[int]:
+    """The most alike keyframes before one, none in the neighbourhood of a better one."""
+    found: list[int] = []
+    for i in np.argsort(unlike[: max(until, 0)], kind="stable"):
+        if unlike[i] > ALIKE or len(found) == N_BEST:
+            break
+        if all(abs(i - other) > NEIGHBOURHOOD for other in found):
+            found.append(int(i))
+    return found
+
+
+def _cloud(scan: Hits, sensor: Sensor) -> Any:
+    """Points with normals; a scanner of one plane knows that it stands on a floor."""
+    import open3d as o3d
+
+    seen = np.isfinite(scan.distances)
+    points, normals = scan.points[seen], scan.normals[seen]
+    if sensor.planar:
+        x, y = np.meshgrid(np.linspace(-3, 3, 7), np.linspace(-3, 3, 7))
+        floor = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, -0.5)])
+        points = np.concatenate([points, floor])
+        normals = np.concatenate([normals, np.broadcast_to([0.0, 0.0, 1.0], floor.shape)])
+    cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points))
+    cloud.normals = o3d.utility.Vector3dVector(normals)
+    return cloud
+
+
+def _aligned(earlier: Any, later: Any, first: gtsam.Pose3, step_m: float) -> gtsam.Pose3 | None:
+    """Pose of the later keyframe in the earlier one's frame, or None where the views do not fit."""
+    from open3d.pipelines import registration
+
+    estimation = registration.TransformationEstimationPointToPlane()
+    found = registration.registration_icp(later, earlier, step_m, first.matrix(), estimation)
+    found = registration.registration_icp(later, earlier, step_m / 3, found.transformation, estimation)
+    return gtsam.Pose3(found.transformation) if found.fitness >= ALIGNED else None
