@@ -10,12 +10,15 @@ from typing import Annotated
 import typer
 
 from pgti_gtsam.errors import InvalidOptionError, PgtiError
-from scenarios import aliasing, kitti
+from scenarios import kitti, worlds
 from scenarios import scans as scan_graphs
 from scenarios import speed as speed_experiment
-from scenarios.aliasing import figure
+from scenarios.aliasing import figure, maps, sweep, tables, trials
+from scenarios.aliasing.methods import METHODS
+from scenarios.worlds.layouts import LAYOUTS
 
 RESULTS = Path(__file__).parent / "results"
+QUICK = [name for name in METHODS if name != trials.SLOW]
 
 app = typer.Typer(add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode=None)
 
@@ -74,33 +77,59 @@ def scans(
     print(f"results: {out}")
 
 
-@app.command()
-def streets(
+@app.command("worlds")
+def look_alike_worlds(
+    names: Annotated[str, typer.Option("--worlds", help="Which, between commas.")] = ",".join(LAYOUTS),
     seeds: Annotated[str, typer.Option(help="Seeds of the drives, between commas.")] = "0,1,2,3,4",
     scheduler: Annotated[str | None, typer.Option(help="Address of a Dask scheduler; a local cluster without.")] = None,
-    out: Annotated[Path, typer.Option(help="A JSON line a trial; known ones are kept.")] = RESULTS / "streets.jsonl",
+    limit: Annotated[float, typer.Option(help="Seconds after which a method has failed.")] = 300.0,
+    out: Annotated[Path, typer.Option(help="A JSON line a trial; known ones are kept.")] = RESULTS / "worlds.jsonl",
 ) -> None:
-    """Look-alike crossings: the gate and ten other methods, told right and wrong covariances. Five minutes."""
-    rows = aliasing.run(out, list(aliasing.street_trials(_whole_numbers(seeds))), scheduler, tell=print)
+    """Seven ray-cast worlds that look alike: the gate and ten other methods, told right and wrong sigmas. An hour."""
+    wanted = _names(names)
+    unknown = sorted(set(wanted) - set(LAYOUTS))
+    if unknown:
+        raise InvalidOptionError(f"expected worlds from {', '.join(LAYOUTS)}, got {', '.join(unknown)}")
+    numbers = _whole_numbers(seeds)
+    rows = sweep.run(out, list(trials.world_trials(wanted, numbers)), scheduler, limit, tell=print)
     figure.draw(rows, out.with_suffix(".png"))
-    print(aliasing.table([row for row in rows if row["share"] == 1.0], "told"))
+    maps.draw([worlds.problem(name, numbers[0]) for name in wanted], out.with_name(out.stem + "_maps.png"))
+    even = [row for row in rows if row["share"] == 1.0]
+    print("\nF1 by what methods are told\n" + tables.table(even, "setting"))
+    print("\nF1 without the false closures that bring nothing into contact\n")
+    print(tables.table(even, "setting", "f1_with_overlap"))
+    right = [row for row in rows if row["setting"] == "right"]
+    print("\nF1 by share of false closures, right sigmas\n" + tables.table(right, "share"))
+    right = [row for row in right if row["share"] == 1.0]
+    print("\nF1 by world, right sigmas\n" + tables.table(right, "world") + "\n\n" + tables.summary(right))
     print(f"results: {out}")
 
 
 @app.command("field")
 def outliers_in_standard_graphs(
     data: Annotated[Path, typer.Option(help="Folder of the standard graphs, or of all data.")],
-    graphs: Annotated[str, typer.Option(help="Names of planar graphs, between commas.")] = "CSAIL,MIT",
+    graphs: Annotated[str, typer.Option(help="Names, between commas; 3D ones too.")] = "CSAIL,MIT,intel",
     seeds: Annotated[str, typer.Option(help="Seeds of the outliers, between commas.")] = "0,1,2,3,4",
+    names: Annotated[str, typer.Option("--methods", help="Which, between commas.")] = ",".join(QUICK),
     scheduler: Annotated[str | None, typer.Option(help="Address of a Dask scheduler; a local cluster without.")] = None,
+    limit: Annotated[float, typer.Option(help="Seconds after which a method has failed.")] = 300.0,
     out: Annotated[Path, typer.Option(help="A JSON line a trial; known ones are kept.")] = RESULTS / "field.jsonl",
 ) -> None:
-    """Random outliers, 10 to 100 % of the inliers, in standard graphs, by every method. Twenty minutes."""
+    """Outliers of four kinds, 10 to 100 % of the inliers, in standard graphs, by every method. An hour."""
     folder = data / "pose_graphs" if (data / "pose_graphs").is_dir() else data
     paths = [folder / f"{name}.g2o" for name in _names(graphs)]
-    rows = aliasing.run(out, list(aliasing.field_trials(paths, _whole_numbers(seeds))), scheduler, tell=print)
+    unknown = sorted(set(_names(names)) - set(METHODS))
+    if unknown:
+        raise InvalidOptionError(f"expected methods from {', '.join(METHODS)}, got {', '.join(unknown)}")
+    wanted = list(trials.field_trials(paths, _whole_numbers(seeds), _names(names)))
+    rows = sweep.run(out, wanted, scheduler, limit, tell=print)
     for name in _names(graphs):
-        print(f"\n{name}\n" + aliasing.table([row for row in rows if row["world"] == name], "share"))
+        own = [row for row in rows if row["world"] == name]
+        random = [row for row in own if row["setting"] == "random"]
+        print(f"\n{name}, F1 by share of random outliers\n" + tables.table(random, "share"))
+        even = [row for row in own if row["share"] == 1.0]
+        print(f"\n{name}, F1 by kind at 100 %\n" + tables.table(even, "setting"))
+        print("\n" + tables.summary([row for row in even if row["setting"] == "random"]))
     print(f"results: {out}")
 
 

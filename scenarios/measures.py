@@ -1,24 +1,36 @@
-"""What a method's answer is worth: shares of closures, and the trajectory's error by evo."""
+"""What a method's answer is worth: shares of closures, and the trajectory's errors by evo."""
 
 from __future__ import annotations
 
-import gtsam
+from typing import Any
+
 import numpy as np
 from evo.core import metrics, trajectory
+from evo.core.units import Unit
 from numpy.typing import NDArray
+from scipy import stats
+
+from scenarios.problem import Problem, space
+
+RPE_KEYFRAMES = 10
+"""Way over which the relative error is taken."""
+
+RECALLS = np.linspace(0.1, 1.0, 10)
 
 
-def ate_m(truth: gtsam.Values, values: gtsam.Values) -> float:
-    """Root mean square of the absolute trajectory error of planar poses after rigid alignment."""
-    keys = [key for key in truth.keys() if values.exists(key)]  # noqa: SIM118
+def trajectory_errors(problem: Problem, values: Any) -> dict[str, float]:
+    """Root mean square of the absolute error after rigid alignment, and of the relative one, both in m."""
     wanted, found = (
-        trajectory.PosePath3D(poses_se3=[gtsam.Pose3(poses.atPose2(key)).matrix() for key in keys])
-        for poses in (truth, values)
+        trajectory.PosePath3D(poses_se3=[space(pose).matrix() for pose in problem.poses(poses)])
+        for poses in (problem.truth, values)
     )
+    relative = metrics.RPE(metrics.PoseRelation.translation_part, RPE_KEYFRAMES, Unit.frames, all_pairs=True)
+    relative.process_data((wanted, found))
     found.align(wanted)
-    error = metrics.APE(metrics.PoseRelation.translation_part)
-    error.process_data((wanted, found))
-    return float(error.get_statistic(metrics.StatisticsType.rmse))
+    absolute = metrics.APE(metrics.PoseRelation.translation_part)
+    absolute.process_data((wanted, found))
+    rmse = metrics.StatisticsType.rmse
+    return {"ate_m": float(absolute.get_statistic(rmse)), "rpe_m": float(relative.get_statistic(rmse))}
 
 
 def f1(true: NDArray[np.bool_], accepted: NDArray[np.bool_]) -> float:
@@ -26,3 +38,20 @@ def f1(true: NDArray[np.bool_], accepted: NDArray[np.bool_]) -> float:
     wrong = int((true != accepted).sum())
     right = int((true & accepted).sum())
     return 1.0 if not right and not wrong else 2 * right / (2 * right + wrong)
+
+
+def area_under_curve(true: NDArray[np.bool_], confidence: NDArray[np.float64]) -> float | None:
+    """Chance that a true closure is believed more than a false one (receiver operating characteristic)."""
+    if not true.any() or true.all():
+        return None
+    wins = stats.mannwhitneyu(confidence[true], confidence[~true]).statistic
+    return float(wins / (true.sum() * (~true).sum()))
+
+
+def precisions(true: NDArray[np.bool_], confidence: NDArray[np.float64]) -> list[float]:
+    """Best precision at which each of `RECALLS` can be had by believing the most trusted closures, ties together."""
+    order = np.argsort(-confidence, kind="stable")
+    ends = np.flatnonzero(np.append(np.diff(confidence[order]) != 0, True))
+    right = np.cumsum(true[order])[ends]
+    precision, recall = right / (ends + 1), right / max(int(true.sum()), 1)
+    return [float(np.max(precision[recall >= wanted - 1e-12], initial=0.0)) for wanted in RECALLS]

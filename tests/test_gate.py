@@ -360,6 +360,8 @@ def test_revisits():
     assert revisits(ends, sparse) == [[2], [0, 1, 3], [4, 5]]
     assert revisits([(20, 80), (19, 81), (18, 82)], sparse) == [[0, 1, 2]]  # the other direction
     assert revisits([], sparse) == []
+    long = [(k, 50 + k) for k in range(25)]  # one revisit, but longer than any is judged at once
+    assert [len(group) for group in revisits(long, np.arange(100.0))] == [11, 11, 3]
 
 
 def test_a_revisit_is_told_by_the_way_where_keyframes_are_dense():

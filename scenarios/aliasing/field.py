@@ -1,44 +1,62 @@
-"""The field's protocol: false closures between random keyframes of standard graphs, mixed into their true ones.
+"""The field's protocol: false closures mixed into the true ones of standard graphs (Sünderhauf's Vertigo, ICRA 2013).
 
 A false closure joins two keyframes that the clean optimum has more than 10 m apart, with the relative pose of a true
-one. Truth is the optimum of the published graph. Free radii, which these files do not hold, are assumed: twice the
-median step. Whether a false closure brings free space into contact is not told: all count as if it did.
+one; one that passes χ² there is none. Truth is the optimum of the published graph. Free radii, which these files do not
+hold, are assumed: twice the median step. Whether a false closure brings free space into contact is not told: all count
+as if it did.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import gtsam
 import numpy as np
 from numpy.typing import NDArray
+from scipy import stats
 
 from pgti_gtsam import datasets
 from pgti_gtsam.errors import InvalidOptionError
-from scenarios.problem import Problem
+from scenarios.problem import Problem, alone, between
 
 APART_M = 10.0
 RADIUS_STEPS = 2.0
 
+GROUP = 10
+"""Consecutive keyframes whose false closures say the same."""
 
-def problem(path: Path, seed: int, share: float) -> Problem:
-    """A planar graph with outliers, in time order.
+LOCAL = 20
+"""Keyframes beyond the first that lies far enough, among which a local one ends."""
+
+KINDS = ("random", "local", "grouped", "random-grouped")
+"""Any two keyframes; two close in time; groups of `GROUP` of these; groups of any."""
+
+
+def problem(path: Path, seed: int, share: float, kind: str = "random") -> Problem:
+    """A graph with outliers, in time order.
 
     Parameters
     ----------
     path : Path
-        g2o file of Pose2 keyframes.
+        g2o file of Pose2 or Pose3 keyframes.
     seed : int
     share : float
         False closures per true one.
+    kind : str
+        Of `KINDS`.
     """
     if not path.is_file():
         raise InvalidOptionError(
             f"expected a standard graph, got no file {path}; --data names the folder of the graphs"
         )
     dataset = datasets.read(path)
-    random = np.random.default_rng(seed)
-    prior = gtsam.PriorFactorPose2(0, dataset.values.atPose2(0), gtsam.noiseModel.Isotropic.Sigma(3, 1e-3))
+    random, start = np.random.default_rng(seed), _pose(dataset.values, 0)
+    planar = isinstance(start, gtsam.Pose2)
+    prior = (gtsam.PriorFactorPose2 if planar else gtsam.PriorFactorPose3)(
+        0, start, gtsam.noiseModel.Isotropic.Sigma(3 if planar else 6, 1e-3)
+    )
     whole, odometry = gtsam.NonlinearFactorGraph(), gtsam.NonlinearFactorGraph()
     whole.add(prior)
     odometry.add(prior)
@@ -48,16 +66,16 @@ def problem(path: Path, seed: int, share: float) -> Problem:
         if slot not in closures:
             odometry.push_back(dataset.graph.at(slot))
     truth = gtsam.LevenbergMarquardtOptimizer(whole, dataset.values).optimize()
-    places = gtsam.utilities.extractPose2(truth)[:, :2]
     inliers = [dataset.graph.at(slot) for slot in dataset.closures]
-    outliers = [_outlier(places, inliers, random) for _ in range(max(1, round(share * len(inliers))))]
-    factors = [*inliers, *outliers]
+    drawn, n_outliers = _outliers(truth, inliers, kind, random), max(1, round(share * len(inliers)))
+    factors = [*inliers, *(next(drawn) for _ in range(n_outliers))]
     order = sorted(range(len(factors)), key=lambda k: (max(factors[k].keys()), min(factors[k].keys()), k))
+    places = np.array([_pose(truth, key).translation() for key in range(truth.size())])
     return Problem(
-        name=f"{path.stem}-{seed}-{share}",
+        name=f"{path.stem}-{seed}-{kind}-{share}",
         graph=odometry,
         values=datasets.chain_odometry(dataset),
-        closures=tuple(_alone(factors[k]) for k in order),
+        closures=tuple(alone(factors[k]) for k in order),
         true=np.array([k < len(inliers) for k in order]),
         overlapping=np.ones(len(order), dtype=bool),
         radii=RADIUS_STEPS * float(np.median(np.linalg.norm(np.diff(places, axis=0), axis=1))),
@@ -65,18 +83,36 @@ def problem(path: Path, seed: int, share: float) -> Problem:
     )
 
 
-def _outlier(
-    places: NDArray[np.float64], inliers: list[gtsam.BetweenFactorPose2], random: np.random.Generator
-) -> gtsam.BetweenFactorPose2:
-    """Two random keyframes far apart, with the relative pose and the noise model of a true closure drawn at random."""
+def _outliers(truth: gtsam.Values, inliers: list[Any], kind: str, random: np.random.Generator) -> Iterator[Any]:
+    """False closures without end, each with the noise model and, the first of a group, the pose of a true one."""
+    n = truth.size()
+    poses = [_pose(truth, key) for key in range(n)]
+    places = np.array([pose.translation() for pose in poses])
+    together = GROUP if "grouped" in kind else 1
+    local = kind in ("local", "grouped")
+    while True:
+        i, j = _ends(places, local, random)
+        like = inliers[int(random.integers(len(inliers)))]
+        for k in range(min(together, n - max(i, j))):
+            moved = poses[i + k].between(poses[i]).compose(like.measured()).compose(poses[j].between(poses[j + k]))
+            factor = between(i + k, j + k, moved, like.noiseModel())
+            far = np.linalg.norm(places[i + k] - places[j + k]) > APART_M
+            if far and 2 * factor.error(truth) > stats.chi2.ppf(0.99, factor.dim()):
+                yield factor
+
+
+def _ends(places: NDArray[np.float64], local: bool, random: np.random.Generator) -> tuple[int, int]:
+    """Two keyframes that lie far apart, the earlier first."""
     while True:
         i, j = sorted(random.choice(len(places), 2, replace=False).tolist())
+        if local:
+            far = np.flatnonzero(np.linalg.norm(places[i:] - places[i], axis=1) > APART_M)
+            if not len(far):
+                continue
+            j = min(i + int(far[0]) + int(random.integers(LOCAL)), len(places) - 1)
         if np.linalg.norm(places[i] - places[j]) > APART_M:
-            like = inliers[int(random.integers(len(inliers)))]
-            return gtsam.BetweenFactorPose2(i, j, like.measured(), like.noiseModel())
+            return i, j
 
 
-def _alone(factor: gtsam.BetweenFactorPose2) -> gtsam.NonlinearFactorGraph:
-    graph = gtsam.NonlinearFactorGraph()
-    graph.add(factor)
-    return graph
+def _pose(values: gtsam.Values, key: int) -> Any:
+    return values.atPose2(key) if key in gtsam.utilities.allPose2s(values).keys() else values.atPose3(key)  # noqa: SIM118

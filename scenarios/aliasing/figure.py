@@ -1,4 +1,4 @@
-"""F1 against what methods are told of the noise, and against the share of false closures."""
+"""Pictures of rows: F1 against what methods are told and against the share of false closures, precision and recall."""
 
 from __future__ import annotations
 
@@ -8,32 +8,39 @@ from typing import Any
 
 import numpy as np
 from matplotlib import pyplot as plt
+from matplotlib.axes import Axes
 
-from scenarios import aliasing
-from scenarios.aliasing import methods, streets
+from scenarios import measures
+from scenarios.aliasing.methods import METHODS
+from scenarios.aliasing.tables import mean_and_interval
+from scenarios.aliasing.trials import SHARES
+from scenarios.worlds import TOLD
 
 
 def draw(rows: Sequence[dict[str, Any]], path: Path) -> None:
-    """Draw both, with intervals over seeds."""
-    figure, (left, right) = plt.subplots(1, 2, figsize=(12, 4.4), layout="constrained", sharey=True)
-    for k, method in enumerate(methods.METHODS):
+    """All three, each point a mean over worlds and seeds with its interval."""
+    figure, axes = plt.subplots(1, 3, figsize=(16, 4.4), layout="constrained", sharey=True)
+    for k, method in enumerate(METHODS):
         style = {"color": f"C{k % 10}", "lw": 2.4 if method == "gate" else 1.0, "ls": "-" if k < 6 else "--"}
-        by_told = [_f1(rows, method, told, 1.0) for told in streets.TOLD]
-        by_share = [_f1(rows, method, "right", share) for share in aliasing.SHARES]
-        for axis, places, found in (
-            (left, np.arange(len(by_told)) + 0.02 * k, by_told),
-            (right, aliasing.SHARES, by_share),
-        ):
-            mean, low, high = np.array(found).T
-            axis.errorbar(places, mean, [mean - low, high - mean], label=method, capsize=2, elinewidth=0.6, **style)
-    left.set_xticks(range(len(streets.TOLD)), streets.TOLD)
-    left.set(xlabel="sigmas that methods are told", ylabel="F1 of accepted true closures", ylim=(0, 1.05))
-    right.set(xlabel="false closures per true one, right sigmas")
-    right.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
+        own = [row for row in rows if row["method"] == method]
+        told = [[r["f1"] for r in own if (r["setting"], r["share"]) == (name, 1.0)] for name in TOLD]
+        shares = [[r["f1"] for r in own if (r["setting"], r["share"]) == ("right", share)] for share in SHARES]
+        _curve(axes[0], np.arange(len(TOLD)) + 0.02 * k, told, method, style)
+        _curve(axes[1], np.array(SHARES), shares, method, style)
+        curves = [r["precisions"] for r in own if (r["setting"], r["share"]) == ("right", 1.0) and "precisions" in r]
+        if curves:
+            axes[2].plot(measures.RECALLS, np.mean(curves, axis=0), label=method, **style)
+    axes[0].set_xticks(range(len(TOLD)), TOLD)
+    axes[0].set(xlabel="sigmas that methods are told", ylabel="F1 of accepted true closures", ylim=(0, 1.05))
+    axes[1].set(xlabel="false closures per true one, right sigmas")
+    axes[2].set(xlabel="recall", ylabel="precision, right sigmas")
+    axes[2].legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
     figure.savefig(path, dpi=110)
     plt.close(figure)
 
 
-def _f1(rows: Sequence[dict[str, Any]], method: str, told: str, share: float) -> tuple[float, float, float]:
-    wanted = (method, told, share)
-    return aliasing.mean_and_interval([r["f1"] for r in rows if (r["method"], r["told"], r["share"]) == wanted])
+def _curve(axis: Axes, places: Any, found: list[list[float]], label: str, style: dict[str, Any]) -> None:
+    there = [k for k, values in enumerate(found) if values]
+    if there:
+        mean, low, high = np.array([mean_and_interval(found[k]) for k in there]).T
+        axis.errorbar(places[there], mean, [mean - low, high - mean], label=label, capsize=2, elinewidth=0.6, **style)

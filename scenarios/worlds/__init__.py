@@ -103,7 +103,9 @@ def drive(world: str, seed: int, length_m: float | None = None) -> Drive:
     )
 
 
-def problem(world: str, seed: int, told: str = "right", *, share: float = 1.0, length_m: float | None = None) -> Problem:
+def problem(
+    world: str, seed: int, told: str = "right", *, share: float = 1.0, length_m: float | None = None
+) -> Problem:
     """The drive as methods get it.
 
     Parameters
@@ -170,7 +172,9 @@ def _agrees(true: gtsam.Pose3, measured: gtsam.Pose3) -> bool:
 
 
 def _radii(seen: list[list[tuple[int, Array]]], odometry: drift.Odometry, layout: Layout) -> dict[int, float]:
-    scaled = [[(track, scale * at) for track, at in tracks] for tracks, scale in zip(seen, odometry.scales, strict=True)]
+    scaled = [
+        [(track, scale * at) for track, at in tracks] for tracks, scale in zip(seen, odometry.scales, strict=True)
+    ]
     chain = [gtsam.Pose3()]
     for step in odometry.steps:
         chain.append(chain[-1].compose(step))

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import gtsam
@@ -19,6 +20,9 @@ from scenarios.worlds.solid import Array, Hits, Solid
 
 RECENT_M = 25.0
 """Way driven within which nobody looks for a closure."""
+
+EVERY = 2
+"""Every second keyframe asks."""
 
 N_BEST = 3
 """Most alike earlier keyframes that are tried, each the best of its neighbourhood."""
@@ -47,9 +51,9 @@ def proposals(solid: Solid, sensor: Sensor, poses: Sequence[gtsam.Pose3], random
     views = np.stack([_view(scan, sensor) for scan in scans])
     unlike, turns = _compared(views, sensor)
     clouds = [_cloud(scan, sensor) for scan in scans]
-    step = float(np.median([np.linalg.norm(a.translation() - b.translation()) for a, b in zip(poses, poses[1:], strict=False)]))
+    step = float(np.median([a.range(b) for a, b in pairwise(poses)]))
     pairs, measured = [], []
-    for j in range(len(poses)):
+    for j in range(0, len(poses), EVERY):
         for i in _best(unlike[j], round(j - RECENT_M / step)):
             found = _aligned(clouds[i], clouds[j], gtsam.Pose3(gtsam.Rot3.Yaw(turns[j, i]), np.zeros(3)), step)
             if found is not None:

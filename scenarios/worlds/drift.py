@@ -1,9 +1,10 @@
-"""Odometry that drifts: a random walk, a bias in heading that no model mentions, and, for a camera, a scale that walks."""
+"""Odometry that drifts: a random walk, a bias in heading that no model mentions, for a camera a scale that walks."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import gtsam
 import numpy as np
@@ -31,12 +32,12 @@ class Odometry:
 
 def odometry(truth: Sequence[gtsam.Pose3], random: np.random.Generator, *, planar: bool, scaled: bool) -> Odometry:
     """Steps between true poses as they are measured; in the plane nothing rolls, pitches or climbs."""
-    step_m = float(np.median([np.linalg.norm(a.range(b)) for a, b in zip(truth, truth[1:], strict=False)]))
+    step_m = float(np.median([a.range(b) for a, b in pairwise(truth)]))
     sigmas = WALK * np.sqrt(step_m) * (np.array([0, 0, 1, 1, 1, 0]) if planar else 1)
     bias = np.array([0, 0, random.normal(0.0, BIAS) * step_m, 0, 0, 0])
     here = gtsam.Similarity3()
     steps, scales = [], [1.0]
-    for one, other in zip(truth, truth[1:], strict=False):
+    for one, other in pairwise(truth):
         moved = one.between(other).compose(gtsam.Pose3.Expmap(random.normal(0.0, sigmas) + bias))
         growth = float(np.exp(random.normal(0.0, SCALE * np.sqrt(step_m)))) if scaled else 1.0
         there = here * gtsam.Similarity3(moved.rotation(), moved.translation() / growth, growth)

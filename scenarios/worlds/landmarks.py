@@ -72,7 +72,11 @@ def landmark_graph(
                 values.insert(key, place[:2] if sensor.planar else place)
             if sensor.planar:
                 away = float(np.hypot(*local[:2]))
-                graph.add(gtsam.BearingRangeFactor2D(i, key, gtsam.Rot2.fromAngle(np.arctan2(local[1], local[0])), away, ranges))
+                graph.add(
+                    gtsam.BearingRangeFactor2D(
+                        i, key, gtsam.Rot2.fromAngle(np.arctan2(local[1], local[0])), away, ranges
+                    )
+                )
             elif sensor.name == "camera":
                 depth = local[0]
                 u, v = 320.0 - 400.0 * local[1] / depth, 240.0 - 400.0 * local[2] / depth

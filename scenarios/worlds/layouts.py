@@ -16,7 +16,6 @@ from scenarios.worlds import sensors
 from scenarios.worlds.sensors import Sensor
 from scenarios.worlds.solid import Array, Solid, box, plate
 
-
 CLUTTER_EVERY = 8.0
 """Way from one thing that stands beside it to the next, in sizes of such things."""
 
@@ -312,5 +311,10 @@ def _between(place: tuple[float, ...], one: tuple[float, ...], other: tuple[floa
 
 def _outer_walls(low: float, high: float, height: float) -> Iterator[Array]:
     side = high - low
-    for corner, along in (((low, low), (side, 0)), ((low, low), (0, side)), ((high, low), (0, side)), ((low, high), (side, 0))):
+    for corner, along in (
+        ((low, low), (side, 0)),
+        ((low, low), (0, side)),
+        ((high, low), (0, side)),
+        ((low, high), (side, 0)),
+    ):
         yield plate((*corner, 0), (*along, 0), (0, 0, height))

@@ -37,9 +37,7 @@ class Solid:
         starts = 4 * np.arange(len(self.faces))[:, None]
         triangles = np.concatenate([starts + [0, 1, 2], starts + [0, 2, 3]])
         scene = o3d.t.geometry.RaycastingScene()
-        scene.add_triangles(
-            o3d.core.Tensor(vertices.astype(np.float32)), o3d.core.Tensor(triangles.astype(np.uint32))
-        )
+        scene.add_triangles(o3d.core.Tensor(vertices.astype(np.float32)), o3d.core.Tensor(triangles.astype(np.uint32)))
         return scene
 
     def cast(self, origins: Array, directions: Array) -> Hits:

@@ -1,0 +1,100 @@
+"""What is tried: every method on every problem; one row of numbers each."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Collection, Iterator, Sequence
+from itertools import product
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from scenarios import measures, worlds
+from scenarios.aliasing import field
+from scenarios.aliasing.helper import Helper
+from scenarios.aliasing.methods import METHODS
+from scenarios.problem import Problem
+from scenarios.worlds.layouts import LAYOUTS
+
+SHARES = (0.1, 0.5, 1.0)
+"""False closures per true one."""
+
+SLOW = "Λ_glob rule"
+"""Takes a minute a trial, and asks no sigma: tried with the right ones and with none."""
+
+SUCCESS_M, SUCCESS_SHARE = 0.75, 0.05
+"""A trajectory is a success below both: metres, and share of its extent."""
+
+
+class Trial(NamedTuple):
+    """A world of `LAYOUTS` or the path of a standard graph, a seed, what methods are told or how outliers lie, …"""
+
+    world: str
+    seed: int
+    setting: str
+    share: float
+    method: str
+
+    def key(self) -> Trial:
+        """The trial as its row names it, wherever the data lies."""
+        return self._replace(world=Path(self.world).stem)
+
+
+def world_trials(names: Collection[str], seeds: Sequence[int]) -> Iterator[Trial]:
+    """All noise models at equal shares, and all shares with the right one."""
+    for name, seed, told in product(names, seeds, worlds.TOLD):
+        for share, method in product(SHARES if told == "right" else (1.0,), METHODS):
+            if method != SLOW or told in ("right", "identity"):
+                yield Trial(name, seed, told, share, method)
+
+
+def field_trials(paths: Sequence[Path], seeds: Sequence[int], methods: Sequence[str]) -> Iterator[Trial]:
+    """All shares of random outliers, and all kinds at equal shares; the noise models are those of the files."""
+    for path, seed, kind in product(paths, seeds, field.KINDS):
+        for share, method in product(SHARES if kind == "random" else (1.0,), methods):
+            yield Trial(str(path), seed, kind, share, method)
+
+
+@functools.lru_cache(maxsize=2)
+def problem(world: str, seed: int, setting: str, share: float) -> Problem:
+    """What a trial's method gets."""
+    if world in LAYOUTS:
+        return worlds.problem(world, seed, setting, share=share)
+    return field.problem(Path(world), seed, share, setting)
+
+
+_helper = Helper()
+
+
+def row(trial: Trial, limit_s: float) -> dict[str, Any]:
+    """Run one trial; a method that gives up or takes too long believes in nothing."""
+    given = problem(*trial[:4])
+    found: dict[str, Any] = trial.key()._asdict()
+    true, seen = given.true, given.overlapping
+    counts = {"true": int(true.sum()), "false": int((~true).sum()), "false_without_overlap": int((~seen).sum())}
+    try:
+        outcome = _helper.solve(given, trial.method, limit_s)
+    except (RuntimeError, TimeoutError) as error:
+        return found | counts | {"failed": str(error), "f1": 0.0, "f1_with_overlap": 0.0, "success": False}
+    kept = outcome.accepted
+    places = np.array([pose.translation() for pose in given.poses(given.truth)])
+    extent = float(np.ptp(places, axis=0).max())
+    errors = measures.trajectory_errors(given, outcome.values)
+    return (
+        found
+        | counts
+        | {
+            "true_accepted": int((true & kept).sum()),
+            "false_accepted": int((~true & kept).sum()),
+            "false_without_overlap_accepted": int((~seen & kept).sum()),
+            "f1": measures.f1(true, kept),
+            "f1_with_overlap": measures.f1(true[seen], kept[seen]),
+            "auc": measures.area_under_curve(true, outcome.confidence),
+            "precisions": [round(value, 4) for value in measures.precisions(true, outcome.confidence)],
+            **errors,
+            "extent_m": extent,
+            "success": errors["ate_m"] < min(SUCCESS_M, SUCCESS_SHARE * extent),
+            "seconds_per_closure": outcome.seconds / max(len(kept), 1),
+        }
+    )
