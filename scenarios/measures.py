@@ -50,6 +50,8 @@ def area_under_curve(true: NDArray[np.bool_], confidence: NDArray[np.float64]) -
 
 def precisions(true: NDArray[np.bool_], confidence: NDArray[np.float64]) -> list[float]:
     """Best precision at which each of `RECALLS` can be had by believing the most trusted closures, ties together."""
+    if not len(true):
+        return [0.0] * len(RECALLS)
     order = np.argsort(-confidence, kind="stable")
     ends = np.flatnonzero(np.append(np.diff(confidence[order]) != 0, True))
     right = np.cumsum(true[order])[ends]

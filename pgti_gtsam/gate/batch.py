@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
@@ -16,6 +16,9 @@ from pgti_gtsam.gate.revisits import revisits
 from pgti_gtsam.gate.survey import Radii
 from pgti_gtsam.gate.trial import BETWEEN, joined, optimised
 from pgti_gtsam.pose_graph import PoseGraph, key_label
+
+DOUBTFUL = 0.75
+"""Doubt from which an admitted revisit may be overturned by a later and larger one that it shuts out."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -159,19 +162,44 @@ def judge_all(
     """
     decisions: dict[int, ClosureDecision] = {}
     way = travelled(gate.adapted(past.graph, past.values, past.radii))
-    admitted, values, last = gtsam.NonlinearFactorGraph(), gtsam.Values(), 0
+    admitted: list[list[int]] = []
+    values, last, done = gtsam.Values(), 0, 0
     for revisit in sorted(revisits(ends, way), key=lambda group: ends[group[0]][1]):
         last = max(last, *(ends[k][1] for k in revisit))
         graph, values, radii = past.until(last, values)
-        group = gate.evaluate_group(joined(graph, admitted), values, [closures[k] for k in revisit], radii)
+        offered = [closures[k] for k in revisit]
+        group = gate.evaluate_group(_with(graph, closures, admitted), values, offered, radii)
+        if not group.accepted:
+            doubtful = [held for held in admitted if _doubtful(held, decisions) and len(held) < len(revisit)]
+            for held in doubtful:
+                rest = _with(graph, closures, [other for other in admitted if other is not held])
+                without = gate.survey(rest, optimised(rest, values), radii)
+                if gate.judge(without, joined(*offered)).accepted:
+                    group = gate.judge_group(without, offered)
+                    again = gate.judge_group(group.survey, [closures[k] for k in held])
+                    decisions |= dict(zip(held, again.decisions, strict=True))
+                    admitted = [other for other in admitted if other is not held]
+                    admitted += [[held[k] for k in again.accepted]]
+                    group = replace(group, survey=again.survey)
+                    break
         decisions |= dict(zip(revisit, group.decisions, strict=True))
         values = group.values
-        for k in group.accepted:
-            admitted.push_back(closures[revisit[k]])
+        admitted = [held for held in [*admitted, [revisit[k] for k in group.accepted]] if held]
+        done += len(revisit)
         if progress:
-            progress(len(decisions), len(closures))
+            progress(done, len(closures))
     graph, values, _ = past.until(len(past.keys) - 1, values)
-    return [decisions[k] for k in range(len(closures))], optimised(joined(graph, admitted), values)
+    return [decisions[k] for k in range(len(closures))], optimised(_with(graph, closures, admitted), values)
+
+
+def _with(
+    graph: gtsam.NonlinearFactorGraph, closures: Sequence[gtsam.NonlinearFactorGraph], admitted: list[list[int]]
+) -> gtsam.NonlinearFactorGraph:
+    return joined(graph, *(closures[k] for held in admitted for k in held))
+
+
+def _doubtful(held: list[int], decisions: dict[int, ClosureDecision]) -> bool:
+    return max(decisions[k].doubt for k in held) > DOUBTFUL
 
 
 def _without(graph: gtsam.NonlinearFactorGraph, slots: list[int]) -> gtsam.NonlinearFactorGraph:

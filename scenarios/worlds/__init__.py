@@ -86,8 +86,9 @@ def drive(world: str, seed: int, length_m: float | None = None) -> Drive:
     found = appearance.proposals(solid, sensor, truth, random)
     measured = [pose.compose(_match_error(random, sensor.planar)) for pose in found.measured]
     radii = _radii(seen, odometry, layout)
-    true = np.array([_agrees(truth[i].between(truth[j]), m) for (i, j), m in zip(found.pairs, measured, strict=True)])
-    overlapping = [overlaps(truth, radii, *pair, m) for pair, m in zip(found.pairs.tolist(), measured, strict=True)]
+    named = list(zip(found.pairs.tolist(), measured, strict=True))
+    true = np.array([_agrees(truth[i].between(truth[j]), m) for (i, j), m in named], dtype=bool)
+    overlapping = np.array([overlaps(truth, radii, *pair, m) for pair, m in named], dtype=bool)
     return Drive(
         world=world,
         seed=seed,
@@ -99,7 +100,7 @@ def drive(world: str, seed: int, length_m: float | None = None) -> Drive:
         pairs=found.pairs,
         measured=measured,
         true=true,
-        overlapping=true | np.array(overlapping, dtype=bool),
+        overlapping=true | overlapping,
     )
 
 

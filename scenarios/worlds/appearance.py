@@ -125,4 +125,11 @@ def _aligned(earlier: Any, later: Any, first: gtsam.Pose3, step_m: float) -> gts
     estimation = registration.TransformationEstimationPointToPlane()
     found = registration.registration_icp(later, earlier, step_m, first.matrix(), estimation)
     found = registration.registration_icp(later, earlier, step_m / 3, found.transformation, estimation)
-    return gtsam.Pose3(found.transformation) if found.fitness >= ALIGNED else None
+    return _rounded(gtsam.Pose3(found.transformation)) if found.fitness >= ALIGNED else None
+
+
+def _rounded(pose: gtsam.Pose3) -> gtsam.Pose3:
+    """To a micrometre: Open3D sums in parallel, and its last digits differ from run to run."""
+    return gtsam.Pose3(
+        gtsam.Rot3.Expmap(np.round(gtsam.Rot3.Logmap(pose.rotation()), 6)), np.round(pose.translation(), 6)
+    )

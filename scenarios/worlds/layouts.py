@@ -223,7 +223,7 @@ def campus() -> Layout:
         ways=ways,
         sensor=sensors.CAMERA,
         step_m=2.0,
-        length_m=1000.0,
+        length_m=1300.0,
         landmarks_per_m2=0.6,
     )
 
