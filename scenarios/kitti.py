@@ -20,7 +20,7 @@ from pgti_gtsam import datasets
 from pgti_gtsam.datasets import Dataset
 from pgti_gtsam.errors import InvalidOptionError
 from pgti_gtsam.gate.trial import optimised
-from scenarios.measures import ate_m
+from scenarios.measures import trajectory_errors
 
 EVERY, RADIUS_M = 5, 4.0
 TRUE_ACCEPTED, FALSE_ACCEPTED = 0.98, 0.02
@@ -139,7 +139,10 @@ def gated(path: Path) -> Row:
 
 
 def _ate_m(dataset: Dataset, values: gtsam.Values) -> float | None:
-    return None if dataset.truth is None else ate_m(dataset.truth, values)
+    if dataset.truth is None:
+        return None
+    keys = [key for key in dataset.truth.keys() if values.exists(key)]  # noqa: SIM118
+    return trajectory_errors(*([poses.atPose2(key) for key in keys] for poses in (dataset.truth, values)))["ate_m"]
 
 
 def _worst(errors: list[float | None]) -> float | None:

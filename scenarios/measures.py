@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Sequence
 
+import gtsam
 import numpy as np
 from evo.core import metrics, trajectory
 from evo.core.units import Unit
 from numpy.typing import NDArray
 from scipy import stats
 
-from scenarios.problem import Problem, space
+from scenarios.problem import space
+
+Pose = gtsam.Pose2 | gtsam.Pose3
 
 RPE_KEYFRAMES = 10
 """Way over which the relative error is taken."""
@@ -18,11 +21,10 @@ RPE_KEYFRAMES = 10
 RECALLS = np.linspace(0.1, 1.0, 10)
 
 
-def trajectory_errors(problem: Problem, values: Any) -> dict[str, float]:
+def trajectory_errors(truth: Sequence[Pose], estimate: Sequence[Pose]) -> dict[str, float]:
     """Root mean square of the absolute error after rigid alignment, and of the relative one, both in m."""
     wanted, found = (
-        trajectory.PosePath3D(poses_se3=[space(pose).matrix() for pose in problem.poses(poses)])
-        for poses in (problem.truth, values)
+        trajectory.PosePath3D(poses_se3=[space(pose).matrix() for pose in poses]) for poses in (truth, estimate)
     )
     relative = metrics.RPE(metrics.PoseRelation.translation_part, RPE_KEYFRAMES, Unit.frames, all_pairs=True)
     relative.process_data((wanted, found))

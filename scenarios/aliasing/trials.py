@@ -80,7 +80,7 @@ def row(trial: Trial, limit_s: float) -> dict[str, Any]:
     kept = outcome.accepted
     places = np.array([pose.translation() for pose in given.poses(given.truth)])
     extent = float(np.ptp(places, axis=0).max())
-    errors = measures.trajectory_errors(given, outcome.values)
+    errors = measures.trajectory_errors(given.poses(given.truth), given.poses(outcome.values))
     return (
         found
         | counts

@@ -14,6 +14,7 @@ from typing import Any
 
 import gtsam
 import numpy as np
+from numpy.typing import NDArray
 
 from scenarios.worlds.sensors import Sensor
 from scenarios.worlds.solid import Array, Hits, Solid
@@ -48,17 +49,46 @@ class Proposals:
 def proposals(solid: Solid, sensor: Sensor, poses: Sequence[gtsam.Pose3], random: np.random.Generator) -> Proposals:
     """What a detector proposes on a drive."""
     scans = [_noisy(sensor.scan(solid, pose), sensor, random) for pose in poses]
-    views = np.stack([_view(scan, sensor) for scan in scans])
-    unlike, turns = _compared(views, sensor)
-    clouds = [_cloud(scan, sensor) for scan in scans]
     step = float(np.median([a.range(b) for a, b in pairwise(poses)]))
+    before = np.arange(len(poses))
+    return matched(scans, sensor, step, before <= before[:, None] - RECENT_M / step)
+
+
+def matched(
+    scans: Sequence[Hits],
+    sensor: Sensor,
+    reach_m: float,
+    asked: NDArray[np.bool_],
+    *,
+    alike: float = ALIKE,
+    aligned: float = ALIGNED,
+) -> Proposals:
+    """Scans that look alike and align.
+
+    Parameters
+    ----------
+    scans : sequence of Hits
+        One for each keyframe, in the body's frame.
+    sensor : Sensor
+    reach_m : float
+        Largest distance between points that belong together, to begin with.
+    asked : (n, n) bool
+        Which earlier keyframes a later one may be matched with, [later, earlier].
+    alike : float
+        Largest root mean square difference of two views' log ranges.
+    aligned : float
+        Least share of points that find a counterpart within a third of `reach_m`.
+    """
+    unlike, turns = _compared(np.stack([_view(scan, sensor) for scan in scans]), sensor)
+    unlike = np.where(asked, unlike, np.inf)
+    clouds = [_cloud(scan, sensor) for scan in scans]
     pairs, measured = [], []
-    for j in range(0, len(poses), EVERY):
-        for i in _best(unlike[j], round(j - RECENT_M / step)):
-            found = _aligned(clouds[i], clouds[j], gtsam.Pose3(gtsam.Rot3.Yaw(turns[j, i]), np.zeros(3)), step)
-            if found is not None:
+    for j in range(0, len(scans), EVERY):
+        for i in _best(unlike[j], alike):
+            found = _aligned(clouds[i], clouds[j], gtsam.Pose3(gtsam.Rot3.Yaw(turns[j, i]), np.zeros(3)), reach_m)
+            if found.fitness >= aligned:
                 pairs.append((i, j))
-                measured.append(found)
+                measured.append(_rounded(gtsam.Pose3(found.transformation)))
     return Proposals(pairs=np.array(pairs, dtype=int).reshape(-1, 2), measured=measured)
 
 
@@ -91,11 +121,11 @@ def _compared(views: Array, sensor: Sensor) -> tuple[Array, Array]:
     return np.sqrt(np.maximum(square, 0)), turns
 
 
-def _best(unlike: Array, until: int) -> list[int]:
-    """The most alike keyframes before one, none in the neighbourhood of a better one."""
+def _best(unlike: Array, alike: float) -> list[int]:
+    """The most alike keyframes, none in the neighbourhood of a better one."""
     found: list[int] = []
-    for i in np.argsort(unlike[: max(until, 0)], kind="stable"):
-        if unlike[i] > ALIKE or len(found) == N_BEST:
+    for i in np.argsort(unlike, kind="stable"):
+        if unlike[i] > alike or len(found) == N_BEST:
             break
         if all(abs(i - other) > NEIGHBOURHOOD for other in found):
             found.append(int(i))
@@ -118,14 +148,13 @@ def _cloud(scan: Hits, sensor: Sensor) -> Any:
     return cloud
 
 
-def _aligned(earlier: Any, later: Any, first: gtsam.Pose3, step_m: float) -> gtsam.Pose3 | None:
-    """Pose of the later keyframe in the earlier one's frame, or None where the views do not fit."""
+def _aligned(earlier: Any, later: Any, first: gtsam.Pose3, reach_m: float) -> Any:
+    """Open3D's result for the pose of the later keyframe in the earlier one's frame."""
     from open3d.pipelines import registration
 
     estimation = registration.TransformationEstimationPointToPlane()
-    found = registration.registration_icp(later, earlier, step_m, first.matrix(), estimation)
-    found = registration.registration_icp(later, earlier, step_m / 3, found.transformation, estimation)
-    return _rounded(gtsam.Pose3(found.transformation)) if found.fitness >= ALIGNED else None
+    found = registration.registration_icp(later, earlier, reach_m, first.matrix(), estimation)
+    return registration.registration_icp(later, earlier, reach_m / 3, found.transformation, estimation)
 
 
 def _rounded(pose: gtsam.Pose3) -> gtsam.Pose3:
