@@ -119,6 +119,15 @@ def test_the_gate_parts_true_from_false_on_a_training_seed():
     assert measures.f1(problem.true, methods.solve(problem, "gate").accepted) > 0.95
 
 
+def test_a_doubtful_false_closure_is_overturned_by_the_revisits_that_it_shuts_out():
+    problem = worlds.problem("streets", 1005)
+    accepted = methods.solve(problem, "gate").accepted
+    early = [tuple(closure.at(0).keys()) for closure in problem.closures].index((88, 190))
+    assert not problem.true[early]
+    assert not accepted[early]
+    assert accepted[problem.true].all()
+
+
 def test_the_truth_has_no_error_and_a_shift_of_all_poses_neither():
     problem = small()
     moved = gtsam.Values()
