@@ -73,7 +73,10 @@ def _serve(connection: Connection[Any, Any]) -> None:
             answer: Any = methods.solve(problem, method)
         except RuntimeError as error:  # what GTSAM raises where its solver gives up
             answer = RuntimeError(str(error).strip().splitlines()[0][:120])
-        connection.send(answer)
+        try:
+            connection.send(answer)
+        except BrokenPipeError:  # the one who asked is gone
+            return
 
 
 if __name__ == "__main__":
