@@ -21,7 +21,9 @@ def draw(rows: Sequence[dict[str, Any]], path: Path) -> None:
     """All three, each point a mean over worlds and seeds with its interval."""
     figure, axes = plt.subplots(1, 3, figsize=(16, 4.4), layout="constrained", sharey=True)
     for k, method in enumerate(METHODS):
-        style = {"color": f"C{k % 10}", "lw": 2.4 if method == "gate" else 1.0, "ls": "-" if k < 6 else "--"}
+        style = {"color": f"C{k - 1}", "lw": 1.0, "ls": "-" if k < 6 else "--"}
+        if method == "gate":
+            style = {"color": "black", "lw": 2.4}
         own = [row for row in rows if row["method"] == method]
         told = [[r["f1"] for r in own if (r["setting"], r["share"]) == (name, 1.0)] for name in TOLD]
         shares = [[r["f1"] for r in own if (r["setting"], r["share"]) == ("right", share)] for share in SHARES]

@@ -26,7 +26,7 @@ def run(
     missing = [trial for trial in wanted if trial.key() not in done]
     tell(f"{len(wanted)} trials, {len(wanted) - len(missing)} of them known")
     if missing:
-        cluster = None if scheduler else LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None)
+        cluster = None if scheduler else LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=":0")
         with Client(scheduler or cluster) as client, path.open("a", encoding="utf-8") as file:
             # nobody keeps a future that is done, else a killed worker's would be computed again
             futures = client.map(trials.row, missing, limit_s=limit_s, pure=False)
