@@ -115,7 +115,7 @@ def outliers_in_standard_graphs(
     limit: Annotated[float, typer.Option(help="Seconds after which a method has failed.")] = 300.0,
     out: Annotated[Path, typer.Option(help="A JSON line a trial; known ones are kept.")] = RESULTS / "field.jsonl",
 ) -> None:
-    """Outliers of four kinds, 10 to 100 % of the inliers, in standard graphs, by every method. CSAIL and MIT take 20 minutes."""
+    """Outliers of four kinds, 10 to 100 % of the inliers, in standard graphs, by every method. 20 minutes."""
     folder = data / "pose_graphs" if (data / "pose_graphs").is_dir() else data
     paths = [folder / f"{name}.g2o" for name in _names(graphs)]
     unknown = sorted(set(_names(names)) - set(METHODS))
