@@ -93,7 +93,11 @@ def _gate(problem: Problem, rule: str) -> Answer:
 
 def _chi_squared(problem: Problem) -> Answer:
     """In time order: the closure's error against its covariance given all before, by iSAM2."""
-    isam = gtsam.ISAM2()
+    parameters = gtsam.ISAM2Params()
+    parameters.setFactorization("QR")  # Cholesky loses a chain as stiff as that of MIT.g2o
+    parameters.relinearizeSkip = 1
+    parameters.setRelinearizeThreshold(0.01)
+    isam = gtsam.ISAM2(parameters)
     isam.update(problem.graph, problem.values)
     accepted, squares = np.zeros(len(problem.closures), dtype=bool), np.zeros(len(problem.closures))
     values = isam.calculateBestEstimate()
