@@ -4,20 +4,26 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
+from optional import needs_open3d
 
-from scenarios import speed
+from pgti_gtsam import datasets
+from scenarios import scans, speed
 from scenarios.speed import solvers
 
 ROOT = Path(__file__).parents[1]
 
 
 def scenarios(*words):
-    return subprocess.run([sys.executable, "-m", "scenarios", *words], cwd=ROOT, capture_output=True, text=True)
+    return subprocess.run(
+        [sys.executable, "-m", "scenarios", *map(str, words)], cwd=ROOT, capture_output=True, text=True
+    )
 
 
 def test_the_list_names_every_experiment():
-    assert "speed" in scenarios("list").stdout
+    said = scenarios("list").stdout
+    assert all(name in said for name in ("speed", "gate-kitti", "scans", "worlds", "field"))
 
 
 def test_the_growth_of_a_power_law_is_its_exponent():
@@ -55,6 +61,52 @@ def test_the_figure_is_drawn_from_the_results(tmp_path):
     rows = [{**row, "case": f"chain-{n}", "n_vertices": n, "seconds": n * 1e-4} for n in (3000, 10_000)]
     speed.write({"solvers": rows, "growth": speed.growth(rows)}, tmp_path / "speed.json")
     assert (tmp_path / "speed.png").read_bytes().startswith(b"\x89PNG")
+
+
+DATA = ROOT.parent / "shared" / "data"
+needs_data = pytest.mark.skipif(not DATA.is_dir(), reason=f"{DATA} is absent")
+
+
+@needs_data
+@needs_open3d
+def test_scans_that_look_alike_are_no_closures():
+    path = DATA / "scan_pose_graphs" / "mit-cscail.log"
+    alike = scans.look_alikes(path)
+    published = datasets.read(path).values
+    for first, second, measured in alike:
+        there = published.atPose2(first).between(published.atPose2(second))
+        assert np.hypot(*there.translation()) >= scans.APART_M
+        assert np.hypot(*measured.translation()) < scans.APART_M / 2
+    row = scans.gated(path, 1000)
+    assert row["look_alikes"] == len(alike) > 10
+    assert row["true_accepted"] > 0.98 * row["true"]
+    assert row["false_accepted"] < 0.02 * row["false"]
+
+
+@needs_data
+@needs_open3d
+def test_outliers_in_a_standard_graph_from_the_command_line(tmp_path):
+    words = ("--graphs", "MIT", "--seeds", "1000", "--methods", "no gate,DCS", "--out", tmp_path / "rows.jsonl")
+    done = scenarios("field", "--data", DATA, *words)
+    assert done.returncode == 0, done.stderr
+    assert "12 trials, 0 of them known" in done.stdout
+    assert len((tmp_path / "rows.jsonl").read_text().splitlines()) == 12
+    assert "12 trials, 12 of them known" in scenarios("field", "--data", DATA, *words).stdout
+
+
+@needs_open3d
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (("worlds", "--worlds", "moon"), "expected worlds from offices"),
+        (("worlds", "--seeds", "one"), "expected whole numbers"),
+        (("field", "--data", ".", "--methods", "magic"), "expected methods from gate"),
+    ],
+)
+def test_what_there_is_not_is_named(words, expected):
+    done = scenarios(*words)
+    assert done.returncode == 2
+    assert expected in done.stderr
 
 
 def test_a_folder_that_is_not_there_is_named():

@@ -16,6 +16,7 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
+from pgti_gtsam.dense_map import load_open3d
 from scenarios.worlds.sensors import Sensor
 from scenarios.worlds.solid import Array, Hits, Solid
 
@@ -134,8 +135,7 @@ def _best(unlike: Array, alike: float) -> list[int]:
 
 def _cloud(scan: Hits, sensor: Sensor) -> Any:
     """Points with normals; a scanner of one plane knows that it stands on a floor."""
-    import open3d as o3d
-
+    o3d = load_open3d()
     seen = np.isfinite(scan.distances)
     points, normals = scan.points[seen], scan.normals[seen]
     if sensor.planar:
@@ -150,8 +150,7 @@ def _cloud(scan: Hits, sensor: Sensor) -> Any:
 
 def _aligned(earlier: Any, later: Any, first: gtsam.Pose3, reach_m: float) -> Any:
     """Open3D's result for the pose of the later keyframe in the earlier one's frame."""
-    from open3d.pipelines import registration
-
+    registration = load_open3d().pipelines.registration
     estimation = registration.TransformationEstimationPointToPlane()
     found = registration.registration_icp(later, earlier, reach_m, first.matrix(), estimation)
     return registration.registration_icp(later, earlier, reach_m / 3, found.transformation, estimation)

@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pgti_gtsam.dense_map import load_open3d
+
 Array = NDArray[np.float64]
 
 
@@ -30,8 +32,7 @@ class Solid:
 
     @functools.cached_property
     def _scene(self) -> Any:
-        import open3d as o3d
-
+        o3d = load_open3d()
         corner, u, v = self.faces.transpose(1, 0, 2)
         vertices = np.stack([corner, corner + u, corner + u + v, corner + v], axis=1).reshape(-1, 3)
         starts = 4 * np.arange(len(self.faces))[:, None]
@@ -42,8 +43,7 @@ class Solid:
 
     def cast(self, origins: Array, directions: Array) -> Hits:
         """Rays from (n, 3) m along (n, 3) unit vectors."""
-        import open3d as o3d
-
+        o3d = load_open3d()
         rays = np.hstack([origins, directions]).astype(np.float32)
         found = self._scene.cast_rays(o3d.core.Tensor(rays))
         distances = found["t_hit"].numpy().astype(float)
