@@ -19,6 +19,7 @@ from scipy import stats
 
 from pgti_gtsam import datasets
 from pgti_gtsam.errors import InvalidOptionError
+from pgti_gtsam.gate.yardstick import pose_at
 from scenarios.problem import Problem, alone, between
 
 APART_M = 10.0
@@ -52,7 +53,7 @@ def problem(path: Path, seed: int, share: float, kind: str = "random") -> Proble
             f"expected a standard graph, got no file {path}; --data names the folder of the graphs"
         )
     dataset = datasets.read(path)
-    random, start = np.random.default_rng(seed), _pose(dataset.values, 0)
+    random, start = np.random.default_rng(seed), pose_at(dataset.values, 0)
     planar = isinstance(start, gtsam.Pose2)
     prior = (gtsam.PriorFactorPose2 if planar else gtsam.PriorFactorPose3)(
         0, start, gtsam.noiseModel.Isotropic.Sigma(3 if planar else 6, 1e-3)
@@ -70,7 +71,7 @@ def problem(path: Path, seed: int, share: float, kind: str = "random") -> Proble
     drawn, n_outliers = _outliers(truth, inliers, kind, random), max(1, round(share * len(inliers)))
     factors = [*inliers, *(next(drawn) for _ in range(n_outliers))]
     order = sorted(range(len(factors)), key=lambda k: (max(factors[k].keys()), min(factors[k].keys()), k))
-    places = np.array([_pose(truth, key).translation() for key in range(truth.size())])
+    places = np.array([pose_at(truth, key).translation() for key in range(truth.size())])
     return Problem(
         name=f"{path.stem}-{seed}-{kind}-{share}",
         graph=odometry,
@@ -86,7 +87,7 @@ def problem(path: Path, seed: int, share: float, kind: str = "random") -> Proble
 def _outliers(truth: gtsam.Values, inliers: list[Any], kind: str, random: np.random.Generator) -> Iterator[Any]:
     """False closures without end, each with the noise model and, the first of a group, the pose of a true one."""
     n = truth.size()
-    poses = [_pose(truth, key) for key in range(n)]
+    poses = [pose_at(truth, key) for key in range(n)]
     places = np.array([pose.translation() for pose in poses])
     together = GROUP if "grouped" in kind else 1
     local = kind in ("local", "grouped")
@@ -112,7 +113,3 @@ def _ends(places: NDArray[np.float64], local: bool, random: np.random.Generator)
             j = min(i + int(far[0]) + int(random.integers(LOCAL)), len(places) - 1)
         if np.linalg.norm(places[i] - places[j]) > APART_M:
             return i, j
-
-
-def _pose(values: gtsam.Values, key: int) -> Any:
-    return values.atPose2(key) if key in gtsam.utilities.allPose2s(values).keys() else values.atPose3(key)  # noqa: SIM118

@@ -123,9 +123,6 @@ def problem(
     """
     driven = drive(world, seed, length_m)
     planar, start = driven.layout.sensor.planar, driven.truth[0]
-    chain = [start]
-    for step in driven.odometry.steps:
-        chain.append(chain[-1].compose(step))
     steps, matches = (_noise(sigmas, told, planar) for sigmas in (driven.odometry.sigmas, MATCH))
     graph, dim = gtsam.NonlinearFactorGraph(), 3 if planar else 6
     prior = gtsam.PriorFactorPose2 if planar else gtsam.PriorFactorPose3
@@ -136,7 +133,7 @@ def problem(
     return Problem(
         name=f"{world}-{seed}-{told}-{share}",
         graph=graph,
-        values=_values(chain, planar),
+        values=_values(driven.odometry.chained(start), planar),
         closures=tuple(
             alone(between(*driven.pairs[k].tolist(), _flat(driven.measured[k], planar), matches)) for k in kept
         ),
@@ -176,10 +173,7 @@ def _radii(seen: list[list[tuple[int, Array]]], odometry: drift.Odometry, layout
     scaled = [
         [(track, scale * at) for track, at in tracks] for tracks, scale in zip(seen, odometry.scales, strict=True)
     ]
-    chain = [gtsam.Pose3()]
-    for step in odometry.steps:
-        chain.append(chain[-1].compose(step))
-    graph, values = landmarks.landmark_graph(scaled, chain, layout.sensor)
+    graph, values = landmarks.landmark_graph(scaled, odometry.chained(gtsam.Pose3()), layout.sensor)
     for i, step in enumerate(odometry.steps):
         noise = gtsam.noiseModel.Unit.Create(3 if layout.sensor.planar else 6)
         graph.add(between(i, i + 1, _flat(step, layout.sensor.planar), noise))

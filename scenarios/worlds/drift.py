@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import accumulate, pairwise
 
 import gtsam
 import numpy as np
@@ -28,6 +28,10 @@ class Odometry:
     steps: list[gtsam.Pose3]
     scales: Array
     sigmas: Array
+
+    def chained(self, start: gtsam.Pose3) -> list[gtsam.Pose3]:
+        """Poses that the steps lead to."""
+        return list(accumulate(self.steps, gtsam.Pose3.compose, initial=start))
 
 
 def odometry(truth: Sequence[gtsam.Pose3], random: np.random.Generator, *, planar: bool, scaled: bool) -> Odometry:
