@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,30 +45,26 @@ class BetaSplit:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Integrity:
-    """What `assess` found. Arrays are read-only.
+class Distortion:
+    """How differently heat spreads on two graphs, of which the second has all edges of the first. Arrays are read-only.
 
     Attributes
     ----------
     keyframe_scores : (n,) float
-        Z: ζ of every keyframe (Eq. 17). Zero where pose graph and free space agree; infinite at a
-        keyframe without any edge that the free space connects, for all its change is infinite.
+        Z: ζ of every keyframe (Eq. 17). Zero where both graphs agree; infinite at a keyframe without any
+        edge in the first graph that has one in the second, for all its change is infinite.
     stable_scores : (n,) float
         Score that does not shrink as the map grows: see `stable_scores`.
     times : (n_times,) float
         τ, common to both graphs.
     signatures_pose_graph, signatures_merged_graph : (n, n_times) float
-        Ψ_i(τ) of every keyframe in G_p and G_m (Eq. 3).
-    free_space_edges, inserted_edges, merged_edges : (k, 2) int
-        E_f, E_m \\ E_p and E_m.
-    optimality : OptimalityComparison
-        D-, T-, E- and Ẽ-optimality of both graphs.
+        Ψ_i(τ) of every keyframe in the first and in the second graph (Eq. 3).
     norm : int
         p of Eq. 17.
     beta : float
         Share at which `split` divides the time grid when not told.
     n_components_pose_graph, n_components_merged_graph : int
-        Connected components of G_p and G_m.
+        Connected components of the first and of the second graph.
     error_estimate : float
         Estimated error of the signatures relative to the largest one; zero where they come from a
         dense eigendecomposition.
@@ -79,10 +75,6 @@ class Integrity:
     times: NDArray[np.float64]
     signatures_pose_graph: NDArray[np.float64]
     signatures_merged_graph: NDArray[np.float64]
-    free_space_edges: NDArray[np.int64]
-    inserted_edges: NDArray[np.int64]
-    merged_edges: NDArray[np.int64]
-    optimality: OptimalityComparison
     norm: int
     beta: float
     n_components_pose_graph: int
@@ -144,6 +136,35 @@ class Integrity:
         )
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Integrity(Distortion):
+    """What `assess` found: the pose graph G_p against the merged graph G_m, and the same in two steps.
+
+    Attributes
+    ----------
+    free_space_edges, inserted_edges, merged_edges : (k, 2) int
+        E_f, E_m \\ E_p and E_m.
+    fusion_edges, collision_edges : (k, 2) int
+        The inserted edges in two: overlaps that follow from the edges of G_p, and those that nothing explains (see
+        `support_graph.explained_overlaps`).
+    fusion : Distortion
+        G_p against the explained graph G_e: incomplete loop fusion, which is mostly harmless.
+    collisions : Distortion
+        G_e against G_m: places in contact that no chain of overlaps joins. Zero on a map without any.
+    optimality : OptimalityComparison
+        D-, T-, E- and Ẽ-optimality of G_p and G_m.
+    """
+
+    free_space_edges: NDArray[np.int64]
+    inserted_edges: NDArray[np.int64]
+    merged_edges: NDArray[np.int64]
+    fusion_edges: NDArray[np.int64]
+    collision_edges: NDArray[np.int64]
+    fusion: Distortion
+    collisions: Distortion
+    optimality: OptimalityComparison
+
+
 def assess(
     pose_graph: PoseGraph,
     *,
@@ -191,26 +212,52 @@ def assess(
     if norm not in (1, 2):
         raise InvalidOptionError(f"expected norm 1 or 2, got {norm}")
     support: SupportGraph = support_graph(pose_graph)
-    kernel_p, kernel_m = heat_kernels(
-        len(pose_graph), pose_graph.edges, support.merged_edges, method=method, tolerance=tolerance
+    kernel_p, kernel_e, kernel_m = _kernels(pose_graph, support, method, tolerance)
+    whole, fusion, collisions = (
+        _distortion(before, after, n_times=n_times, norm=norm, beta=beta)
+        for before, after in ((kernel_p, kernel_m), (kernel_p, kernel_e), (kernel_e, kernel_m))
     )
-    times = time_grid(kernel_m, n_times)
-    signatures_p, signatures_m = kernel_p.signatures(times), kernel_m.signatures(times)
     return Integrity(
-        keyframe_scores=relative_distortion(signatures_p, signatures_m, norm),
-        stable_scores=stable_scores(kernel_p, kernel_m),
-        times=times,
-        signatures_pose_graph=signatures_p,
-        signatures_merged_graph=signatures_m,
+        **{each.name: getattr(whole, each.name) for each in fields(Distortion)},
         free_space_edges=support.free_space_edges,
         inserted_edges=support.inserted_edges,
         merged_edges=support.merged_edges,
+        fusion_edges=support.fusion_edges,
+        collision_edges=support.collision_edges,
+        fusion=fusion,
+        collisions=collisions,
         optimality=compare_optimality(pose_graph, support, (kernel_p, kernel_m)),
+    )
+
+
+def _kernels(
+    pose_graph: PoseGraph, support: SupportGraph, method: Method, tolerance: float
+) -> tuple[HeatKernel, HeatKernel, HeatKernel]:
+    """Heat kernels of G_p, G_e and G_m; graphs that are the same share theirs."""
+    edge_lists = [pose_graph.edges, support.merged_edges]
+    if len(support.fusion_edges) and len(support.collision_edges):
+        edge_lists.insert(1, support.explained_edges)
+    kernels = heat_kernels(len(pose_graph), *edge_lists, method=method, tolerance=tolerance)
+    if len(kernels) == 3:
+        return kernels[0], kernels[1], kernels[2]
+    return kernels[0], kernels[0 if len(support.collision_edges) else 1], kernels[1]
+
+
+def _distortion(before: HeatKernel, after: HeatKernel, *, n_times: int, norm: int, beta: float) -> Distortion:
+    """One graph against another, on the time grid of the second."""
+    times = time_grid(after, n_times)
+    signatures_p, signatures_m = before.signatures(times), after.signatures(times)
+    return Distortion(
+        keyframe_scores=relative_distortion(signatures_p, signatures_m, norm),
+        stable_scores=stable_scores(before, after),
+        times=times,
+        signatures_pose_graph=signatures_p,
+        signatures_merged_graph=signatures_m,
         norm=norm,
         beta=beta,
-        n_components_pose_graph=kernel_p.n_components,
-        n_components_merged_graph=kernel_m.n_components,
-        error_estimate=max(kernel_p.error_estimate, kernel_m.error_estimate),
+        n_components_pose_graph=before.n_components,
+        n_components_merged_graph=after.n_components,
+        error_estimate=max(before.error_estimate, after.error_estimate),
     )
 
 

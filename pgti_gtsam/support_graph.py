@@ -1,14 +1,25 @@
-"""Support graphs of section 5.1: minimum spheres that meet, and their merger with the pose graph."""
+"""Support graphs of section 5.1: minimum spheres that meet, and their merger with the pose graph.
+
+Not every pair of spheres that meet without an edge is a defect. Where two passes of one way are tied here and there,
+their keyframes overlap at many other pairs, and each such pair is the third side of a triangle of touching spheres.
+`explained_overlaps` separates these pairs, *fusion*, from those to which no chain of triangles leads, *collisions*:
+the line that section 6.3.2 of the paper draws by hand.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
 from scipy.spatial import KDTree
 
-from pgti_gtsam.pose_graph import PoseGraph
+from pgti_gtsam.pose_graph import EdgeSource, PoseGraph
+
+MAX_PATHS = 10_000_000
+"""Paths of two edges that one sparse product walks: some hundred megabytes."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -23,6 +34,10 @@ class SupportGraph:
         E_m = E_p ∪ E_f (Eq. 14).
     inserted_edges : (l, 2) int
         E_m \\ E_p: what the space has and the pose graph lacks.
+    explained_edges : (e, 2) int
+        E_e: E_p and the fusion edges.
+    fusion_edges, collision_edges : (f, 2), (c, 2) int
+        The inserted edges in two: those that `explained_overlaps` explains, and the others.
 
     All have i < j and are sorted and unique.
     """
@@ -30,16 +45,99 @@ class SupportGraph:
     free_space_edges: NDArray[np.int64]
     merged_edges: NDArray[np.int64]
     inserted_edges: NDArray[np.int64]
+    explained_edges: NDArray[np.int64]
+    fusion_edges: NDArray[np.int64]
+    collision_edges: NDArray[np.int64]
 
 
 def support_graph(pose_graph: PoseGraph) -> SupportGraph:
-    """Free-space graph and merged graph of a pose graph (section 5.1)."""
+    """Free-space graph, merged graph and explained graph of a pose graph (section 5.1)."""
+    n, edges = len(pose_graph), pose_graph.edges
     free = overlapping_spheres(pose_graph.positions, pose_graph.radii)
-    n = len(pose_graph)
-    p_codes, f_codes = (edges[:, 0] * n + edges[:, 1] for edges in (pose_graph.edges, free))
+    p_codes, f_codes = (pairs[:, 0] * n + pairs[:, 1] for pairs in (edges, free))
     inserted = np.setdiff1d(f_codes, p_codes, assume_unique=True)
-    merged = np.union1d(p_codes, f_codes)
-    return SupportGraph(free_space_edges=free, merged_edges=_pairs(merged, n), inserted_edges=_pairs(inserted, n))
+    odometry = edges[pose_graph.edge_sources & EdgeSource.ODOMETRY > 0]
+    explained = explained_overlaps(n, edges, _pairs(inserted, n), odometry)
+    return SupportGraph(
+        free_space_edges=free,
+        merged_edges=_pairs(np.union1d(p_codes, f_codes), n),
+        inserted_edges=_pairs(inserted, n),
+        explained_edges=_pairs(np.union1d(p_codes, inserted[explained]), n),
+        fusion_edges=_pairs(inserted[explained], n),
+        collision_edges=_pairs(inserted[~explained], n),
+    )
+
+
+def explained_overlaps(
+    n: int,
+    edges: NDArray[np.int64],
+    overlaps: NDArray[np.int64],
+    odometry: NDArray[np.int64],
+    new: NDArray[np.int64] | None = None,
+) -> NDArray[np.bool_]:
+    """Which overlaps follow from the edges; the others are collisions.
+
+    A *triangle* explains the overlap (i, j): some k is a neighbour of both. A *rung* explains it: odometry leads from i
+    to k and from j to l, and k and l are neighbours. What is explained joins the edges, and so on until nothing
+    changes: the least fixpoint, which depends neither on the order of the keyframes nor on that of the steps.
+
+    The law: an edge that a triangle explains adds no cycle to the first homology of the clique complex, since the
+    triangle fills the only cycle that the edge closes. An edge that a rung explains adds none once the square i k l j,
+    between two odometry steps beside each other, counts as a cell. So the explained graph has the loops of the pose
+    graph and no others. It is the motive of section 5.1, the Rips complex of the space, taken at its word.
+
+    Every edge is met once, when it is new: a round walks the paths of two edges that hold a new one.
+
+    Parameters
+    ----------
+    n : int
+        Number of keyframes.
+    edges, overlaps : (m, 2), (k, 2) int
+        Pairs of different keyframes; no pair in both.
+    odometry : (l, 2) int
+        Those of the edges that are steps of a track.
+    new : (p, 2) int, optional
+        Edges that have just joined a graph from which nothing more followed, in `edges` too; all of them without.
+
+    Returns
+    -------
+    (k,) bool
+    """
+    places = np.arange(1, len(overlaps) + 1, dtype=float)  # beginning at one, for zeros of a sparse matrix vanish
+    unexplained, known, rails = _symmetric(n, overlaps, places), _symmetric(n, edges), _symmetric(n, odometry)
+    frontier = known if new is None else _symmetric(n, new)
+    explained = np.zeros(len(overlaps), dtype=bool)
+    while frontier.nnz and unexplained.nnz:
+        hit = np.zeros(len(overlaps), dtype=bool)
+        for step, last in ((frontier, known), (rails @ frontier, rails)):
+            for rows, paths in _walks(step, last, np.diff(unexplained.indptr) > 0):
+                met = unexplained[rows].multiply(paths.astype(bool)).tocsr()
+                hit[met.data.astype(np.int64) - 1] = True
+        explained |= hit
+        frontier = _symmetric(n, overlaps[hit])
+        known = known + frontier
+        unexplained.data[explained[unexplained.data.astype(np.int64) - 1]] = 0
+        unexplained.eliminate_zeros()
+    return explained
+
+
+def _walks(
+    step: sparse.csr_array, last: sparse.csr_array, wanted: NDArray[np.bool_]
+) -> Iterator[tuple[NDArray[np.int64], sparse.csr_array]]:
+    """step · last for the rows that are wanted, some rows at a time."""
+    rows = np.flatnonzero(wanted & (np.diff(step.indptr) > 0))
+    paths = np.cumsum((step[rows] @ np.diff(last.indptr).astype(float)))
+    parts = np.searchsorted(paths, np.arange(MAX_PATHS, paths[-1], MAX_PATHS)) if len(rows) else []
+    for part in np.split(rows, parts):
+        yield part, step[part] @ last
+
+
+def _symmetric(n: int, pairs: NDArray[np.int64], data: NDArray[np.float64] | None = None) -> sparse.csr_array:
+    """Symmetric matrix with one number, or one, for each pair."""
+    values = np.ones(len(pairs)) if data is None else data
+    i, j = pairs.T
+    both = np.concatenate([i, j]), np.concatenate([j, i])
+    return sparse.coo_array((np.concatenate([values, values]), both), shape=(n, n)).tocsr()
 
 
 def overlapping_spheres(positions: NDArray[np.float64], radii: NDArray[np.float64]) -> NDArray[np.int64]:

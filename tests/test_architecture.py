@@ -14,7 +14,7 @@ FLOORS = [
     "errors",
     "pose_graph",
     "sightings",
-    "odometry",
+    "track",
     "adapter",
     "support_graph",
     "spectral",

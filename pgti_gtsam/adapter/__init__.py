@@ -13,9 +13,9 @@ from pgti_gtsam.adapter.factors import FactorReader
 from pgti_gtsam.adapter.families import Family
 from pgti_gtsam.adapter.values import Keyframes, read_keyframes
 from pgti_gtsam.errors import InvalidOptionError, InvalidValueError, NoRadiusError
-from pgti_gtsam.odometry import track_edges
 from pgti_gtsam.pose_graph import Adaptation, EdgeSource, PoseGraph
 from pgti_gtsam.sightings import Sightings, covisibility_edges, minimum_sphere_radii
+from pgti_gtsam.track import track_edges
 
 EDGE_SOURCES = ("between", "covisibility", "track")
 
@@ -169,10 +169,21 @@ def _edge_arrays(reader: FactorReader, pairs: Mapping[str, NDArray[np.int64]]) -
             information[k, : len(matrix), : len(matrix)] = matrix
     return {
         "edges": edges,
-        "edge_sources": np.concatenate(flags),
+        "edge_sources": np.concatenate(flags) | _odometry_marks(reader.keyframes, edges, flags),
         "edge_slots": slots,
         "edge_information": information if size else None,
     }
+
+
+def _odometry_marks(
+    keyframes: Keyframes, edges: NDArray[np.int64], flags: list[NDArray[np.int64]]
+) -> NDArray[np.int64]:
+    """`EdgeSource.ODOMETRY` where a factor, or what both see, ties a keyframe to the next one of the same symbol."""
+    low, high = np.sort(edges, axis=1).T
+    letters = keyframes.keys >> np.uint64(56)
+    step = (high == low + 1) & (letters[low] == letters[high])
+    tied = np.concatenate(flags) != EdgeSource.TRACK
+    return np.where(step & tied, EdgeSource.ODOMETRY, 0)
 
 
 def _adaptation(

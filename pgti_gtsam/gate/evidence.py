@@ -158,7 +158,7 @@ def contacts(pose_graph: PoseGraph) -> Contacts:
 def explained_overlaps(pose_graph: PoseGraph) -> Pairs:
     """Overlaps that a closure makes a matter of course, (k, 2).
 
-    What holds along the track (`odometry.track_edges`) holds through a closure between a and b: when
+    What holds along the track (`track.track_edges`) holds through a closure between a and b: when
     the way from i along the track to a, across to b, and along the track to j is no longer than
     r_i + r_j, the spheres of i and j must meet, however the way bends. Lengths are those of the
     estimate, so that every pair found does overlap.

@@ -1,0 +1,114 @@
+"""Where places touch that no edge ties: pairs of keyframes grouped by revisit.
+
+A *revisit* is two stretches of track that run through the same space. One tie between them explains all of their
+overlaps, and those with other passes that are tied to either: so the revisits found here are as few as the ties that
+are missing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse import csgraph
+from scipy.spatial import KDTree
+
+from pgti_gtsam.pose_graph import EdgeSource, PoseGraph
+from pgti_gtsam.support_graph import SupportGraph, explained_overlaps
+from pgti_gtsam.track import Track
+
+WINDOW = 5
+"""Keyframes between one overlap of a revisit and the next, on either stretch: a few spheres in between are small."""
+
+REACH = 5.0
+"""The same in ρ travelled, where keyframes lie denser than one a free radius."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Revisit:
+    """Two stretches of track in contact.
+
+    Attributes
+    ----------
+    edges : (k, 2) int
+        Overlaps between the two stretches, i < j.
+    resolved : (l, 2) int
+        Overlaps, these included, that follow once the stretches are tied.
+    stretches : ((int, int), (int, int))
+        First and last keyframe of the earlier and of the later stretch.
+    closest : (int, int)
+        The overlap whose centres lie nearest, in parts of the sum of their radii.
+    lengths_m : (float, float)
+        Way along each stretch.
+    """
+
+    edges: NDArray[np.int64]
+    resolved: NDArray[np.int64]
+    stretches: tuple[tuple[int, int], tuple[int, int]]
+    closest: tuple[int, int]
+    lengths_m: tuple[float, float]
+
+    @property
+    def keyframes(self) -> NDArray[np.int64]:
+        """All keyframes that an overlap of the revisit touches, ascending."""
+        return np.unique(self.resolved)
+
+
+def revisits(pose_graph: PoseGraph, support: SupportGraph, track: Track) -> list[Revisit]:
+    """The collisions of a map as revisits, those that resolve most overlaps first.
+
+    The largest group of overlaps that lie beside each other on both stretches is taken for tied; what follows from it
+    belongs to its revisit. So on until nothing is left.
+    """
+    n, odometry = len(pose_graph), pose_graph.edges[pose_graph.edge_sources & EdgeSource.ODOMETRY > 0]
+    left, known, found = support.collision_edges, support.explained_edges, []
+    groups = grouped(left, places_on(pose_graph, track))
+    while len(left):
+        # tie the largest group, and see what follows
+        own = left[groups == np.bincount(groups).argmax()]
+        rest = ~np.isin(left[:, 0] * n + left[:, 1], own[:, 0] * n + own[:, 1])
+        known = np.concatenate([known, own])
+        follows = rest.copy()
+        follows[rest] = explained_overlaps(n, known, left[rest], odometry, own)
+        found.append(revisit(pose_graph, track, own, np.concatenate([own, left[follows]])))
+
+        # what remains is judged anew
+        known = np.concatenate([known, left[follows]])
+        left, groups = left[rest & ~follows], groups[rest & ~follows]
+    return sorted(found, key=lambda each: -len(each.resolved))
+
+
+def revisit(
+    pose_graph: PoseGraph, track: Track, edges: NDArray[np.int64], resolved: NDArray[np.int64] | None = None
+) -> Revisit:
+    """The record of overlaps that were found to belong together."""
+    early, late = ((int(ends.min()), int(ends.max())) for ends in edges.T)
+    gaps = np.linalg.norm(np.diff(pose_graph.positions[edges], axis=1)[:, 0], axis=1)
+    nearest = edges[np.argmin(gaps / pose_graph.radii[edges].sum(axis=1))]
+    return Revisit(
+        edges=edges,
+        resolved=edges if resolved is None else resolved,
+        stretches=(early, late),
+        closest=(int(nearest[0]), int(nearest[1])),
+        lengths_m=(float(np.ptp(track.way_m[list(early)])), float(np.ptp(track.way_m[list(late)]))),
+    )
+
+
+def places_on(pose_graph: PoseGraph, track: Track) -> NDArray[np.float64]:
+    """A coordinate along the track that grows by one in `WINDOW` keyframes or in `REACH` ρ, whichever is more way, (n,).
+
+    Between chains it grows by more than any neighbourhood spans.
+    """
+    positive = pose_graph.radii[pose_graph.radii > 0]
+    unit = float(np.median(positive)) if len(positive) else np.inf
+    steps = np.minimum(1 / WINDOW, np.diff(track.way_m) / (REACH * unit))
+    return np.concatenate([[0.0], np.cumsum(steps + 10.0 * np.diff(track.chain))])
+
+
+def grouped(edges: NDArray[np.int64], places: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Group of every overlap, (k,): those belong together that lead from neighbour to neighbour on both stretches."""
+    near = KDTree(places[edges]).query_pairs(1.0, p=np.inf, output_type="ndarray") if len(edges) else np.empty((0, 2))
+    links = sparse.coo_array((np.ones(len(near)), near.T.astype(np.int64)), shape=(len(edges), len(edges)))
+    return np.asarray(csgraph.connected_components(links, directed=False)[1], dtype=np.int64)

@@ -1,0 +1,155 @@
+"""Chosen blocks of the inverse of a sparse symmetric positive definite matrix of equal square blocks.
+
+The multifrontal elimination and selected inversion of `selected_inverse`, there told with their sources, for real
+matrices whose vertices carry a few dimensions each: information matrices of pose graphs. All blocks that the graph has
+an edge for cost one factorisation and one visit from the roots to the leaves.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pgti_gtsam.spectral.elimination_tree import EliminationTree, IntArray
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class BlockFactor:
+    """D = F_JJ⁻¹ and X = D F_JA of every supernode with pivots J and rows A.
+
+    Attributes
+    ----------
+    tree : EliminationTree
+        Of the graph of blocks.
+    size : int
+        Rows of a block, d.
+    inverses : list of (w d, w d) float
+    couplings : list of (w d, r d) float
+    """
+
+    tree: EliminationTree
+    size: int
+    inverses: list[FloatArray]
+    couplings: list[FloatArray]
+
+
+def factorise(tree: EliminationTree, diagonal: FloatArray, pairs: IntArray, blocks: FloatArray) -> BlockFactor:
+    """Eliminate a matrix from the leaves to the roots.
+
+    Parameters
+    ----------
+    tree : EliminationTree
+        Of a graph that has all `pairs` as edges.
+    diagonal : (n, d, d) float
+        Blocks on the diagonal.
+    pairs : (m, 2) int
+        Different vertices (i, j); a pair may occur repeatedly.
+    blocks : (m, d, d) float
+        What each pair adds to the block in row i and column j, and transposed to its mirror image.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        The matrix is singular.
+    """
+    d, fronts = diagonal.shape[1], tree.fronts.tolist()
+    entries = _Entries.of(tree, pairs)
+    pending: dict[int, FloatArray] = {}
+    inverses, couplings = [], []
+    for k, (w, m, parent, into) in enumerate(tree.visits()):
+        # what is left of the matrix at the pivots and rows of this supernode
+        front = pending.pop(k, None)
+        front = np.zeros((m, m, d, d)) if front is None else front
+        own, i, j = entries.at(k)
+        np.add.at(front, (i, j), blocks[own])
+        np.add.at(front, (j, i), blocks[own].swapaxes(1, 2))
+        pivots = np.arange(w)
+        front[pivots, pivots] += diagonal[tree.order[tree.starts[k] : tree.starts[k + 1]]]
+
+        # eliminate the pivots, and hand the rest to the parent
+        flat, cut = _flat(front), w * d
+        inverse = np.linalg.inv(flat[:cut, :cut])
+        coupling = inverse @ flat[:cut, cut:]
+        if parent >= 0:
+            above = pending.setdefault(parent, np.zeros((fronts[parent], fronts[parent], d, d)))
+            above[np.ix_(into, into)] += _blocks(flat[cut:, cut:] - flat[cut:, :cut] @ coupling, d)
+        inverses.append(inverse)
+        couplings.append(coupling)
+    return BlockFactor(tree=tree, size=d, inverses=inverses, couplings=couplings)
+
+
+def inverse_blocks(factor: BlockFactor, pairs: IntArray) -> FloatArray:
+    """Blocks (i, j) of the inverse for edges of the graph, i = j included: (k, d, d)."""
+    tree, d = factor.tree, factor.size
+    entries = _Entries.of(tree, pairs)
+    found = np.empty((len(pairs), d, d))
+    pending: dict[int, FloatArray] = {}
+    children = tree.children()
+    for k, (w, m, _, _) in reversed(list(enumerate(tree.visits()))):
+        # the inverse on the rows, which the parent knows, gives the inverse on the pivots
+        inverse, coupling = factor.inverses[k], factor.couplings[k]
+        rest = pending.pop(k, np.empty((0, 0)))
+        cross = coupling @ rest
+        whole = np.block([[inverse + cross @ coupling.T, -cross], [-cross.T, rest]])
+
+        # hand on what the children need, and take the blocks that were asked for
+        front = _blocks(whole, d)
+        for child, into in children[k]:
+            pending[child] = _flat(front[np.ix_(into, into)])
+        own, i, j = entries.at(k)
+        found[own] = front[i, j]
+    return found
+
+
+def solve(factor: BlockFactor, b: FloatArray) -> FloatArray:
+    """The inverse times b, (n, d) both."""
+    tree = factor.tree
+    x = b[tree.order].copy()
+    rows = np.split(tree.rows, tree.row_starts[1:-1])
+    spans = [slice(*ends) for ends in zip(tree.starts[:-1], tree.starts[1:], strict=True)]
+    for k, span in enumerate(spans):
+        x[rows[k]] -= (x[span].ravel() @ factor.couplings[k]).reshape(-1, factor.size)
+        x[span] = (factor.inverses[k] @ x[span].ravel()).reshape(-1, factor.size)
+    for k, span in reversed(list(enumerate(spans))):
+        x[span] -= (factor.couplings[k] @ x[rows[k]].ravel()).reshape(-1, factor.size)
+    return x[tree.positions]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Entries:
+    """Pairs of vertices, sorted into the fronts where the first of the two is eliminated."""
+
+    sorted: IntArray
+    starts: IntArray
+    i: IntArray
+    j: IntArray
+
+    @classmethod
+    def of(cls, tree: EliminationTree, pairs: IntArray) -> _Entries:
+        i, j = tree.positions[np.asarray(pairs, dtype=np.int64).reshape(-1, 2).T]
+        supernodes = np.repeat(np.arange(tree.n_supernodes), tree.widths)[np.minimum(i, j)]
+        order = np.argsort(supernodes, kind="stable")
+        starts = np.searchsorted(supernodes[order], np.arange(tree.n_supernodes + 1))
+        i, j = (tree.local(supernodes, ends)[order] for ends in (i, j))
+        return cls(sorted=order, starts=starts, i=i, j=j)
+
+    def at(self, supernode: int) -> tuple[IntArray, IntArray, IntArray]:
+        """Which pairs are eliminated at a supernode, and their local positions there."""
+        span = slice(self.starts[supernode], self.starts[supernode + 1])
+        return self.sorted[span], self.i[span], self.j[span]
+
+
+def _flat(front: FloatArray) -> FloatArray:
+    """Blocks (m, m, d, d) as one matrix."""
+    m, _, d, _ = front.shape
+    return front.transpose(0, 2, 1, 3).reshape(m * d, m * d)
+
+
+def _blocks(matrix: FloatArray, d: int) -> FloatArray:
+    """A matrix as blocks (m, m, d, d)."""
+    m = len(matrix) // d
+    return matrix.reshape(m, d, m, d).transpose(0, 2, 1, 3)
