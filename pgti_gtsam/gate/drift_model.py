@@ -7,26 +7,29 @@ e = Log(z⁻¹ T_i⁻¹ T_j), which the perturbations T Exp(δ) change by δ_j �
 Σ Jᵀ R⁻¹ J of all ties is a graph Laplacian with matrix weights, and the covariance of the relative pose of two
 keyframes is the effective resistance between them.
 
-From one factorisation follows what every closure would have been predicted to measure without it: with the residual r
-at the optimum, its tolerance R and the covariance C of the relative pose, S = R − C, the closure misses that prediction
-by e = R S⁻¹ r, whose drift covariance is R S⁻¹ R − R (leave-one-out residuals of linear least squares; Cook and
-Weisberg, Residuals and Influence in Regression, 1982, chapter 2).
+From one factorisation follows what every tie would have been predicted to measure without it: with the residual r at
+the optimum, its tolerance R, the covariance C of the relative pose and S = R − C, the tie misses that prediction by
+e = R S⁻¹ r, whose own covariance, without the tie's tolerance, is R S⁻¹ R − R (leave-one-out residuals of linear least
+squares: Cook and Weisberg, Residuals and Influence in Regression, 1982, chapter 2).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from pgti_gtsam.adapter.values import read_keyframes, typed_value
+from pgti_gtsam.adapter.values import Keyframes, read_keyframes, typed_value
+from pgti_gtsam.errors import UnsolvableGraphError
+from pgti_gtsam.gate.evidence import free_space_unit
 from pgti_gtsam.pose_graph import EdgeSource, PoseGraph
 from pgti_gtsam.spectral.block_inverse import BlockFactor, factorise, inverse_blocks, solve
-from pgti_gtsam.spectral.elimination_tree import analyse
+from pgti_gtsam.spectral.elimination_tree import EliminationTree, analyse
 from pgti_gtsam.spectral.laplacian import connected_components
 
 DRIFT = 0.03
@@ -40,15 +43,19 @@ SHORTEST = 0.05
 OFFSET, OFFSET_RAD = 0.125, 0.075
 """Standard deviation of what a closure measures, in ρ and in rad."""
 
-NEAR, NEAR_RAD = 0.5, 0.25
-"""The same of a near miss, in ρ and in rad: a detector that matches places and not poses. It misses by less than the
-free space, so that it ties what belongs together."""
+ANCHOR = 1e-4
+"""Standard deviation in ρ and rad of the pose that each part of the map is held at. No relative pose depends on it; a
+loose anchor would let the whole map swing, and what is asked for would drown in that."""
 
-NEAR_SHARE = 0.1
-"""Of true closures, those that are near misses."""
+HELD = 0.5
+"""Standard deviation of a position that a factor of one variable holds, in ρ: a satellite receiver, say."""
 
-ITERATIONS = 3
-"""Gauss-Newton steps from the estimate to the model's optimum; each starts at the bottom of a valley already."""
+MAX_ITERATIONS = 10
+"""Levenberg-Marquardt steps to the model's optimum. Where closures are false there is no good one, and no need of it."""
+
+LEAST_REST = 1e-6
+"""Least eigenvalue of S in units of R: the rounding of the covariances. What the others predict is uncertain by 1000
+tolerances there, and how uncertain exactly does not matter."""
 
 Array = NDArray[np.float64]
 
@@ -60,13 +67,13 @@ class Ties:
     Attributes
     ----------
     pairs : (m, 2) int
-        Keyframes i and j of each tie.
+        Keyframes i and j of each tie, i < j.
     measured : tuple of m gtsam.Pose2 or gtsam.Pose3
         Pose of j seen from i.
     variances : (m, d) float
         In the tangent space of j, in GTSAM's order.
     slots : (m,) int
-        Slot of the closure that the tie is; −1 for a tie that is not judged.
+        Slot of the loop closure that the tie is; −1 for odometry and what both keyframes see.
     """
 
     pairs: NDArray[np.int64]
@@ -74,8 +81,13 @@ class Ties:
     variances: Array
     slots: NDArray[np.int64]
 
+    @property
+    def closures(self) -> NDArray[np.int64]:
+        """Which ties are loop closures."""
+        return np.flatnonzero(self.slots >= 0)
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class DriftModel:
     """A map's keyframes and what holds them together.
 
@@ -87,7 +99,7 @@ class DriftModel:
         The estimate.
     ties : Ties
     held : (n,) bool
-        Keyframes whose position a factor of one variable holds, to within `NEAR`.
+        Keyframes whose position a factor of one variable holds.
     """
 
     unit_m: float
@@ -100,69 +112,127 @@ class DriftModel:
         """Whether the poses are Pose2."""
         return isinstance(self.poses[0], gtsam.Pose2)
 
-    def sigmas(self, length: float, angle: float) -> Array:
-        """Standard deviations in GTSAM's order, (d,): of a length in ρ and an angle in rad."""
-        shift = length * self.unit_m
-        return np.array([shift, shift, angle] if self.is_planar else [angle] * 3 + [shift] * 3)
+    @property
+    def translation(self) -> slice:
+        """Where the translation stands in a tangent vector."""
+        return slice(0, 2) if self.is_planar else slice(3, 6)
 
-    def settled(self, active: NDArray[np.bool_], asked: NDArray[np.int64]) -> Settled:
-        """The optimum of the active ties, with covariances that can be asked for.
+    def variances(self, length: float, angle: float) -> Array:
+        """Squares of a length in ρ and of an angle in rad, in GTSAM's order, (d,)."""
+        return _variances(length * self.unit_m, angle, is_planar=self.is_planar)
+
+    @cached_property
+    def spread(self) -> Array:
+        """Covariance of the relative pose of keyframes drawn at random, were all headings alike, (d, d)."""
+        places = np.array([pose.translation() for pose in self.poses])
+        extent = float(np.sqrt(2 * places.var(axis=0).mean()))
+        return np.diag(_variances(extent, np.pi / np.sqrt(3), is_planar=self.is_planar))
+
+    def settled(
+        self,
+        active: NDArray[np.bool_] | None = None,
+        asked: NDArray[np.int64] | None = None,
+        start: Settled | None = None,
+    ) -> Settled:
+        """The optimum of the ties.
 
         Parameters
         ----------
-        active : (m,) bool
-            Ties that hold; the others pull at nothing.
-        asked : (k, 2) int
+        active : (m,) bool, optional
+            Ties that hold, all without; the others pull at nothing.
+        asked : (k, 2) int, optional
             Pairs of keyframes, beside those of ties, whose relative pose will be asked for.
+        start : Settled, optional
+            Where to begin; the estimate without.
+
+        Raises
+        ------
+        UnsolvableGraphError
+            The ties are so stiff or so many that their information matrix is singular to rounding.
         """
-        pairs = self.ties.pairs
-        n, together = len(self.poses), np.concatenate([pairs, asked])
-        _, component = connected_components(n, pairs[active])
+        ties, n = self.ties, len(self.poses)
+        active = np.ones(len(ties.pairs), dtype=bool) if active is None else active
+        together = np.concatenate([ties.pairs, np.empty((0, 2), dtype=np.int64) if asked is None else asked])
+        _, component = connected_components(n, ties.pairs[active])
         tree = analyse(n, np.unique(np.sort(together[together[:, 0] != together[:, 1]], axis=1), axis=0))
-        weights = np.where(active[:, None], 1 / self.ties.variances, 0.0)
-        diagonal = self._held(component)
-        poses = list(self.poses)
-        for _ in range(ITERATIONS):
-            errors = _errors(poses, pairs, self.ties.measured)
-            carry = adjoints(poses, pairs)
-            factor = self._factor(tree, diagonal, carry, weights)
-            pull = np.zeros((n, diagonal.shape[1]))
-            np.add.at(pull, pairs[:, 1], -weights * errors)
-            np.add.at(pull, pairs[:, 0], np.einsum("kba,kb->ka", carry, weights * errors))
-            steps = solve(factor, pull)
-            poses = [pose.retract(step) for pose, step in zip(poses, steps, strict=True)]
-        carry = adjoints(poses, pairs)
+        weights = np.where(active[:, None], 1 / ties.variances, 0.0)
+        anchors = self._anchors(component)
+        poses = self._optimum(active, component, self.poses if start is None else start.poses)
+        try:
+            factor, pull = self._linearised(tree, anchors, weights, poses)
+        except np.linalg.LinAlgError as error:
+            raise UnsolvableGraphError(
+                "expected odometry and closures that fix every keyframe, got a singular information matrix; "
+                "look for closures with measurements far beyond the map"
+            ) from error
         return Settled(
             model=self,
             active=active,
             poses=tuple(poses),
             component=component,
-            residuals=_errors(poses, pairs, self.ties.measured),
-            factor=self._factor(tree, diagonal, carry, weights),
+            residuals=self._residuals(poses, solve(factor, pull)),
+            factor=factor,
         )
 
-    def _held(self, component: NDArray[np.int32]) -> Array:
-        """Diagonal blocks of what holds the keyframes in the world: one in every component at least."""
-        d = 3 if self.is_planar else 6
-        information = np.zeros((len(self.poses), d, d))
-        position = np.diag(1 / self.sigmas(NEAR, np.inf) ** 2)
-        information[self.held] = position
-        first = np.unique(component, return_index=True)[1]
-        information[first] += np.diag(1 / self.sigmas(OFFSET, OFFSET_RAD) ** 2)
+    def _residuals(self, poses, steps):
+        i, j = self.ties.pairs.T
+        carry = _adjoints(poses, self.ties.pairs)
+        return _errors(poses, self.ties) + steps[j] - np.einsum("kab,kb->ka", carry, steps[i])
+
+    def _optimum(self, active, component, start):
+        graph = gtsam.NonlinearFactorGraph(); values = gtsam.Values()
+        B, P = (gtsam.BetweenFactorPose2, gtsam.PriorFactorPose2) if self.is_planar else (gtsam.BetweenFactorPose3, gtsam.PriorFactorPose3)
+        for k in np.flatnonzero(active).tolist():
+            i, j = self.ties.pairs[k].tolist()
+            graph.push_back(B(i, j, self.ties.measured[k], gtsam.noiseModel.Diagonal.Variances(self.ties.variances[k])))
+        anchor = gtsam.noiseModel.Diagonal.Variances(self.variances(ANCHOR, ANCHOR))
+        for i in np.unique(component, return_index=True)[1].tolist():
+            graph.push_back(P(i, start[i], anchor))
+        for i, pose in enumerate(start):
+            values.insert(i, pose)
+        pa = gtsam.LevenbergMarquardtParams(); pa.setMaxIterations(MAX_ITERATIONS); pa.setRelativeErrorTol(1e-3)
+        found = gtsam.LevenbergMarquardtOptimizer(graph, values, pa).optimize()
+        at = found.atPose2 if self.is_planar else found.atPose3
+        return [at(i) for i in range(len(start))]
+
+    def _anchors(self, component: NDArray[np.int32]) -> Array:
+        """Diagonal blocks of what holds keyframes in the world: the first one of every component, and `held` ones."""
+        information = np.zeros((len(self.poses), len(self.spread), len(self.spread)))
+        information[self.held] = np.diag(1 / self.variances(HELD, np.inf))
+        information[np.unique(component, return_index=True)[1]] += np.diag(1 / self.variances(ANCHOR, ANCHOR))
         return information
 
-    def _factor(self, tree: Any, held: Array, carry: Array, weights: Array) -> BlockFactor:
-        """Σ Jᵀ R⁻¹ J with J = (−A, I) for every tie."""
-        pairs, diagonal = self.ties.pairs, held.copy()
-        weighted = weights[:, :, None] * carry
+    def _linearised(
+        self, tree: EliminationTree, anchors: Array, weights: Array, poses: Sequence[Any]
+    ) -> tuple[BlockFactor, Array]:
+        """Σ Jᵀ R⁻¹ J, J = (−A, I), and −Σ Jᵀ R⁻¹ e, (n, d)."""
+        pairs, carry = self.ties.pairs, _adjoints(poses, self.ties.pairs)
+        weighted, errors = weights[:, :, None] * carry, weights * _errors(poses, self.ties)
+        diagonal, pull = anchors.copy(), np.zeros(anchors.shape[:2])
         np.add.at(diagonal, pairs[:, 0], carry.swapaxes(1, 2) @ weighted)
         np.add.at(diagonal, pairs[:, 1], weights[:, :, None] * np.eye(weights.shape[1]))
-        return factorise(tree, diagonal, pairs, -weighted.swapaxes(1, 2))
+        np.add.at(pull, pairs[:, 0], (carry.swapaxes(1, 2) @ errors[:, :, None])[:, :, 0])
+        np.add.at(pull, pairs[:, 1], -errors)
+        return factorise(tree, diagonal, pairs, -weighted.swapaxes(1, 2)), pull
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Settled:
-    """A drift model at its optimum."""
+    """A drift model at its optimum.
+
+    Attributes
+    ----------
+    model : DriftModel
+    active : (m,) bool
+        Ties that hold.
+    poses : tuple of n gtsam.Pose2 or gtsam.Pose3
+    component : (n,) int
+        Connected part of every keyframe.
+    residuals : (m, d) float
+        Error of every tie.
+    factor : BlockFactor
+        Of the information matrix.
+    """
 
     model: DriftModel
     active: NDArray[np.bool_]
@@ -174,87 +244,165 @@ class Settled:
     def covariances(self, pairs: NDArray[np.int64]) -> Array:
         """Covariance of the pose of j seen from i, in the tangent space of j: (k, d, d), NaN where no tie leads."""
         i, j = pairs.T
-        own, other, cross = (inverse_blocks(self.factor, ends) for ends in (np.c_[i, i], np.c_[j, j], pairs))
-        carry = adjoints(self.poses, pairs)
+        own, other, cross = (inverse_blocks(self.factor, np.stack(ends, 1)) for ends in ((i, i), (j, j), (i, j)))
+        carry = _adjoints(self.poses, pairs)
         mixed = carry @ cross
         found = carry @ own @ carry.swapaxes(1, 2) + other - mixed - mixed.swapaxes(1, 2)
+        values, axes = np.linalg.eigh(found)
+        found = axes * np.maximum(values, 0.0)[:, None, :] @ axes.swapaxes(1, 2)
         return np.where((self.component[i] == self.component[j])[:, None, None], found, np.nan)
 
+    def allowances_m(self, pairs: NDArray[np.int64]) -> Array:
+        """Standard deviation, m, of the relative position of i and j along its least certain axis: (k,)."""
+        own = self.model.translation
+        squares = np.linalg.eigvalsh(np.nan_to_num(self.covariances(pairs)[:, own, own], nan=0.0))[:, -1]
+        i, j = pairs.T
+        return np.where(self.component[i] == self.component[j], np.sqrt(np.maximum(squares, 0.0)), np.inf)
+
+    def _alone(self) -> NDArray[np.int64]:
+        """Active closures without which the map would fall apart."""
+        ties, n = self.model.ties, len(self.poses)
+        held = self.active & (ties.slots < 0)
+        parts, part = connected_components(n, ties.pairs[held])
+        between = np.flatnonzero(self.active & (ties.slots >= 0) & (part[ties.pairs[:, 0]] != part[ties.pairs[:, 1]]))
+        ends = part[ties.pairs[between]].astype(np.int64)
+        n_parts = connected_components(parts, ends)[0]
+        _, first, count = np.unique(np.sort(ends, axis=1), axis=0, return_index=True, return_counts=True)
+        single = first[count == 1]
+        needed = [k for k in single.tolist() if connected_components(parts, np.delete(ends, k, axis=0))[0] > n_parts]
+        return between[needed]
+
     def left_out(self) -> tuple[Array, Array]:
-        """By how much every tie misses what all the others predict, (m, d), and that prediction's covariance.
+        """By how much every tie misses what all the others predict, (m, d), and that prediction's covariance, (m, d, d).
 
         A tie that pulls at nothing misses by its residual. Where no other tie leads, the covariance is NaN.
         """
         ties = self.model.ties
-        tolerance = ties.variances[:, None] * np.eye(ties.variances.shape[1])
+        roots = np.sqrt(ties.variances)
         spread = self.covariances(ties.pairs)
-        gain = tolerance @ np.linalg.inv(tolerance - spread)
-        missed = np.where(self.active[:, None], np.einsum("kab,kb->ka", gain, self.residuals), self.residuals)
-        return missed, np.where(self.active[:, None, None], gain @ tolerance - tolerance, spread)
+        scaled = np.nan_to_num(spread / (roots[:, :, None] * roots[:, None, :]), nan=0.0)
+        rest, axes = np.linalg.eigh(np.eye(roots.shape[1]) - scaled)
+        gain = 1 / np.clip(rest, LEAST_REST, 1.0)  # S⁻¹ in units of R, along the axes
+        missed = roots * (axes @ (gain[:, :, None] * (axes.swapaxes(1, 2) @ (self.residuals / roots)[:, :, None])))[:, :, 0]
+        others = roots[:, :, None] * (axes * (gain - 1)[:, None, :] @ axes.swapaxes(1, 2)) * roots[:, None, :]
+        others[self._alone()] = np.nan
+        return (
+            np.where(self.active[:, None], missed, self.residuals),
+            np.where(self.active[:, None, None], others, spread),
+        )
 
 
 def drift_model(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, pose_graph: PoseGraph) -> DriftModel:
-    """The drift model of a map as it stands."""
-    positive = pose_graph.radii[pose_graph.radii > 0]
-    unit = float(np.median(positive)) if len(positive) else 1.0
-    keyframes = read_keyframes(values)
-    poses = [pose_of(keyframes, int(key)) for key in pose_graph.keys]
-    planar = isinstance(poses[0], gtsam.Pose2)
-    kind = gtsam.BetweenFactorPose2 if planar else gtsam.BetweenFactorPose3
-    pairs, measured, variances, slots = [], [], [], []
+    """The drift model of a map as it stands.
 
-    def add(i, j, z, length, angle, slot):
-        shift = length * unit
-        pairs.append((i, j)); measured.append(z); slots.append(slot)
-        s = np.array([shift, shift, angle] if planar else [angle] * 3 + [shift] * 3)
-        variances.append(s**2)
+    Parameters
+    ----------
+    graph : gtsam.NonlinearFactorGraph
+    values : gtsam.Values
+        Best an optimum of the graph: the model's own is sought from there.
+    pose_graph : PoseGraph
+        The same map as `from_gtsam` reads it.
 
-    for (i, j), source, own in zip(pose_graph.edges.tolist(), pose_graph.edge_sources.tolist(), pose_graph.edge_slots, strict=True):
-        step = bool(source & EdgeSource.ODOMETRY)
-        if not source & ~EdgeSource.TRACK:
-            continue
-        usable = [slot for slot in own if isinstance(graph.at(slot), kind)]
-        found = []
-        for slot in usable:
-            f = graph.at(slot)
-            z = f.measured()
-            z = z if values_index(keyframes, f.keys()[0]) == i else z.inverse()
-            found.append((z, slot))
-        if not found:
-            found = [(poses[i].between(poses[j]), -1)]
-        if step:
-            z = found[0][0]
-            moved, turned = lengths_of(z)
-            s = DRIFT * np.sqrt(max(moved / unit, turned, SHORTEST))
-            add(i, j, z, s, s, -1)
-        else:
-            for z, slot in found:
-                add(i, j, z, OFFSET, OFFSET_RAD, slot)
-    held = np.zeros(len(poses), bool)
+    Raises
+    ------
+    NoRadiusError
+        No keyframe has a radius.
+    """
+    unit, keyframes = free_space_unit(pose_graph), read_keyframes(values)
+    poses = _alike([_pose(keyframes, int(key)) for key in pose_graph.keys])
     return DriftModel(
-        unit_m=unit, poses=tuple(poses),
-        ties=Ties(pairs=np.array(pairs, np.int64).reshape(-1, 2), measured=tuple(measured), variances=np.array(variances).reshape(-1, 3 if planar else 6), slots=np.array(slots, np.int64)),
-        held=held,
+        unit_m=unit, poses=poses, ties=_ties(graph, pose_graph, poses, unit), held=_held(graph, keyframes.index)
     )
 
 
-def values_index(keyframes, key):
-    return keyframes.index[key]
+def _ties(
+    graph: gtsam.NonlinearFactorGraph, pose_graph: PoseGraph, poses: Sequence[Any], unit: float
+) -> Ties:
+    """Odometry, closures and what two keyframes both see, of the edges in their order."""
+    planar = isinstance(poses[0], gtsam.Pose2)
+    keys = pose_graph.keys.tolist()
+    rows: list[tuple[tuple[int, int], Any, Array, int]] = []
+    known = zip(pose_graph.edges.tolist(), pose_graph.edge_sources.tolist(), pose_graph.edge_slots, strict=True)
+    for (i, j), source, slots in known:
+        if not source & (EdgeSource.BETWEEN | EdgeSource.COVISIBILITY):
+            continue
+        found = [(z, slot) for slot in slots if (z := _measured(graph.at(slot), keys[i], planar)) is not None]
+        if source & EdgeSource.ODOMETRY:
+            step = found[0][0] if found else poses[i].between(poses[j])
+            drift = DRIFT * float(np.sqrt(max(_length(step) / unit, _angle(step), SHORTEST)))
+            rows.append(((i, j), step, _variances(drift * unit, drift, is_planar=planar), -1))
+            continue
+        tolerance = _variances(OFFSET * unit, OFFSET_RAD, is_planar=planar)
+        for z, slot in found or [(poses[i].between(poses[j]), -1)]:
+            rows.append(((i, j), z, tolerance, slot))
+    return Ties(
+        pairs=np.array([row[0] for row in rows], dtype=np.int64).reshape(-1, 2),
+        measured=tuple(row[1] for row in rows),
+        variances=np.array([row[2] for row in rows]).reshape(-1, 3 if planar else 6),
+        slots=np.array([row[3] for row in rows], dtype=np.int64),
+    )
 
 
-def pose_of(keyframes, key):
+def _measured(factor: Any, first: int, planar: bool) -> Any | None:
+    """Relative pose that a factor measures from its key `first` to the other; None where it measures no whole pose."""
+    if not isinstance(factor, gtsam.BetweenFactorPose2 | gtsam.BetweenFactorPose3):
+        return None
+    z = factor.measured()
+    z = z if planar or isinstance(z, gtsam.Pose3) else gtsam.Pose3(z)
+    return z if factor.keys()[0] == first else z.inverse()
+
+
+def _held(graph: gtsam.NonlinearFactorGraph, index: dict[int, int]) -> NDArray[np.bool_]:
+    """Keyframes with a factor of their own."""
+    held = np.zeros(len(index), dtype=bool)
+    for slot in range(graph.size()):
+        factor = graph.at(slot)
+        keys = [] if factor is None else factor.keys()
+        if len(keys) == 1 and keys[0] in index and isinstance(factor, _HOLDING):
+            held[index[keys[0]]] = True
+    return held
+
+
+_HOLDING = (gtsam.PriorFactorPose2, gtsam.PriorFactorPose3, gtsam.GPSFactor)
+
+
+def _pose(keyframes: Keyframes, key: int) -> Any:
+    """The Pose2 or Pose3 of a keyframe."""
     return keyframes.poses.get(key) or typed_value(keyframes.values, "Pose2", key) or keyframes.values.atPose3(key)
 
 
-def lengths_of(step):
-    if isinstance(step, gtsam.Pose2):
-        return float(np.hypot(step.x(), step.y())), abs(step.theta())
-    return float(np.linalg.norm(step.translation())), float(np.linalg.norm(gtsam.Rot3.Logmap(step.rotation())))
+def _alike(poses: Iterable[Any]) -> tuple[Any, ...]:
+    """All poses of the plane, or all in space."""
+    found = list(poses)
+    if all(isinstance(pose, gtsam.Pose2) for pose in found):
+        return tuple(found)
+    return tuple(gtsam.Pose3(pose) if isinstance(pose, gtsam.Pose2) else pose for pose in found)
 
 
-def adjoints(poses: Sequence[Any], pairs: NDArray[np.int64]) -> Array:
-    return np.array([poses[j].between(poses[i]).AdjointMap() for i, j in pairs.tolist()]).reshape(-1, *[poses[0].AdjointMap().shape[0]]*2)
+def _variances(length_m: float, angle: float, *, is_planar: bool) -> Array:
+    squares = np.square([length_m, length_m, angle] if is_planar else [angle] * 3 + [length_m] * 3)
+    return np.asarray(squares, dtype=float)
 
 
-def _errors(poses, pairs, measured):
-    return np.array([type(z).Logmap(z.between(poses[i].between(poses[j]))) for (i, j), z in zip(pairs.tolist(), measured, strict=True)])
+def _length(step: Any) -> float:
+    return float(np.linalg.norm(step.translation()))
+
+
+def _angle(step: Any) -> float:
+    """Angle that a relative pose turns by, rad."""
+    return abs(step.theta()) if isinstance(step, gtsam.Pose2) else float(np.linalg.norm(gtsam.Rot3.Logmap(step.rotation())))
+
+
+def _adjoints(poses: Sequence[Any], pairs: NDArray[np.int64]) -> Array:
+    """A = Ad(T_j⁻¹ T_i) of every pair, (k, d, d)."""
+    d = 3 if isinstance(poses[0], gtsam.Pose2) else 6
+    return np.array([poses[j].between(poses[i]).AdjointMap() for i, j in pairs.tolist()]).reshape(-1, d, d)
+
+
+def _errors(poses: Sequence[Any], ties: Ties) -> Array:
+    """e = Log(z⁻¹ T_i⁻¹ T_j) of every tie, (m, d)."""
+    errors = [
+        type(z).Logmap(z.between(poses[i].between(poses[j])))
+        for (i, j), z in zip(ties.pairs.tolist(), ties.measured, strict=True)
+    ]
+    return np.array(errors).reshape(ties.variances.shape)
