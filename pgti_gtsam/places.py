@@ -15,8 +15,9 @@ from scipy import sparse
 from scipy.sparse import csgraph
 from scipy.spatial import KDTree
 
+from pgti_gtsam.integrity import Integrity
 from pgti_gtsam.pose_graph import EdgeSource, PoseGraph
-from pgti_gtsam.support_graph import SupportGraph, explained_overlaps
+from pgti_gtsam.support_graph import explained_overlaps
 from pgti_gtsam.track import Track
 
 WINDOW = 5
@@ -39,7 +40,8 @@ class Revisit:
     stretches : ((int, int), (int, int))
         First and last keyframe of the earlier and of the later stretch.
     closest : (int, int)
-        The overlap whose centres lie nearest, in parts of the sum of their radii.
+        The overlap where a tie is best: where the centres lie nearest in parts of the sum of their radii, or, along an
+        untied pass, where the drift allows most.
     lengths_m : (float, float)
         Way along each stretch.
     """
@@ -56,14 +58,15 @@ class Revisit:
         return np.unique(self.resolved)
 
 
-def revisits(pose_graph: PoseGraph, support: SupportGraph, track: Track) -> list[Revisit]:
+def revisits(pose_graph: PoseGraph, integrity: Integrity, track: Track) -> list[Revisit]:
     """The collisions of a map as revisits, those that resolve most overlaps first.
 
     The largest group of overlaps that lie beside each other on both stretches is taken for tied; what follows from it
     belongs to its revisit. So on until nothing is left.
     """
     n, odometry = len(pose_graph), pose_graph.edges[pose_graph.edge_sources & EdgeSource.ODOMETRY > 0]
-    left, known, found = support.collision_edges, support.explained_edges, []
+    left, found = integrity.collision_edges, []
+    known = np.concatenate([pose_graph.edges, integrity.fusion_edges])
     groups = grouped(left, places_on(pose_graph, track))
     while len(left):
         # tie the largest group, and see what follows
@@ -81,12 +84,20 @@ def revisits(pose_graph: PoseGraph, support: SupportGraph, track: Track) -> list
 
 
 def revisit(
-    pose_graph: PoseGraph, track: Track, edges: NDArray[np.int64], resolved: NDArray[np.int64] | None = None
+    pose_graph: PoseGraph,
+    track: Track,
+    edges: NDArray[np.int64],
+    resolved: NDArray[np.int64] | None = None,
+    tied_at: NDArray[np.int64] | None = None,
 ) -> Revisit:
-    """The record of overlaps that were found to belong together."""
+    """The record of overlaps that were found to belong together.
+
+    A tie is best where the centres lie nearest, in parts of what the spheres reach, unless told otherwise.
+    """
     early, late = ((int(ends.min()), int(ends.max())) for ends in edges.T)
     gaps = np.linalg.norm(np.diff(pose_graph.positions[edges], axis=1)[:, 0], axis=1)
-    nearest = edges[np.argmin(gaps / pose_graph.radii[edges].sum(axis=1))]
+    reach = np.maximum(pose_graph.radii[edges].sum(axis=1), np.finfo(float).tiny)
+    nearest = edges[np.argmin(gaps / reach)] if tied_at is None else tied_at
     return Revisit(
         edges=edges,
         resolved=edges if resolved is None else resolved,

@@ -60,6 +60,8 @@ class OwnClosures:
         Standard deviation of that prediction's position along its least certain axis.
     is_false : (k,) bool
         Taken out.
+    drift_scale : float
+        Factor by which the odometry errs more than the model's, 1 at least.
     n_rounds : int
         How often the rest was looked at again.
     settled : Settled
@@ -74,6 +76,7 @@ class OwnClosures:
     missed_rad: Array
     allowed_m: Array
     is_false: NDArray[np.bool_]
+    drift_scale: float
     n_rounds: int
     settled: Settled
 
@@ -97,8 +100,9 @@ def own_closures(model: DriftModel) -> OwnClosures:
     for n_rounds in range(MAX_ROUNDS):
         settled = model.settled(active, start=settled)
         missed, others = settled.left_out()
-        drift = others * _poorer(model, missed[closures[active[closures]]], others[closures[active[closures]]])
-        odds = log_odds(model, missed[closures], drift[closures])
+        held = closures[active[closures]]
+        poorer = _poorer(model, missed[held], others[held])
+        odds = log_odds(model, missed[closures], poorer * others[closures])
         condemned = active[closures] & (odds < 0)
         if condemned.any():
             active[closures[condemned & (odds <= odds[condemned].min() / 2)]] = False
@@ -110,7 +114,7 @@ def own_closures(model: DriftModel) -> OwnClosures:
         returned |= acquitted
     own = model.translation
     turned = np.delete(missed[closures], np.arange(missed.shape[1])[own], axis=1)
-    squares = np.linalg.eigvalsh(np.nan_to_num(others[closures][:, own, own], nan=0.0))
+    squares = np.linalg.eigvalsh(np.nan_to_num(poorer * others[closures][:, own, own], nan=0.0))
     return OwnClosures(
         ties=closures,
         slots=model.ties.slots[closures],
@@ -120,6 +124,7 @@ def own_closures(model: DriftModel) -> OwnClosures:
         missed_rad=np.linalg.norm(turned, axis=1),
         allowed_m=np.where(np.isnan(odds), np.inf, np.sqrt(np.maximum(squares[:, -1:].sum(axis=1), 0.0))),
         is_false=~active[closures],
+        drift_scale=float(np.sqrt(poorer)),
         n_rounds=n_rounds,
         settled=settled,
     )

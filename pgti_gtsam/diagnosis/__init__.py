@@ -1,0 +1,111 @@
+"""The whole answer to "is this map right, and where not?": what is wrong, where, and what to do.
+
+1. PGTI scores the map and finds the overlaps that nothing explains (`integrity`); `places` groups them by revisit.
+2. Each of the map's own closures is judged against all the others (`gate.own_closures`).
+3. The drift model says of every contact how far its two stretches may lie apart, given all ties: whether the contact
+   is the space's or chance (`contacts`). It says the same of overlaps that are explained: a drive out and back along
+   one way is contractible at its turn, so that all its overlaps are explained though nothing ties the two passes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping
+
+import gtsam
+import numpy as np
+
+from pgti_gtsam.adapter import MIN_SHARED_LANDMARKS, from_gtsam
+from pgti_gtsam.diagnosis import words
+from pgti_gtsam.diagnosis.contacts import Contacts
+from pgti_gtsam.diagnosis.records import ClosureFinding, Diagnosis, Place, Proposal
+from pgti_gtsam.estimate import convergence
+from pgti_gtsam.gate.drift_model import drift_model
+from pgti_gtsam.gate.own_closures import OwnClosures, own_closures
+from pgti_gtsam.integrity import assess
+from pgti_gtsam.track import track_of
+
+__all__ = ["ClosureFinding", "Diagnosis", "Place", "Proposal", "diagnose"]
+
+
+def diagnose(
+    graph: gtsam.NonlinearFactorGraph,
+    values: gtsam.Values,
+    *,
+    radii: float | Mapping[int, float] | None = None,
+    edges: Collection[str] | None = None,
+    min_shared_landmarks: int = MIN_SHARED_LANDMARKS,
+    beta: float = 0.5,
+    progress: Callable[[str], None] = lambda step: None,
+) -> Diagnosis:
+    """Say of a map whether it is right, where not, and what to do. Graph and values stay untouched.
+
+    Parameters
+    ----------
+    graph : gtsam.NonlinearFactorGraph
+    values : gtsam.Values
+        An optimum of the graph: all scores are of the map that these values draw.
+    radii, edges, min_shared_landmarks
+        As in `from_gtsam`.
+    beta : float
+        As in `assess`.
+    progress : callable
+        Told in words what is being done.
+
+    Raises
+    ------
+    UnsolvableGraphError
+        The graph is singular.
+    PgtiError
+        Those of `from_gtsam` and `assess`.
+    """
+    progress("adapting")
+    pose_graph = from_gtsam(graph, values, radii=radii, edges=edges, min_shared_landmarks=min_shared_landmarks)
+
+    progress("checking the estimate")
+    step = convergence(graph, values)
+
+    progress(f"spectra of {len(pose_graph)} keyframes")
+    integrity = assess(pose_graph, beta=beta)
+
+    progress("weighing closures")
+    model = drift_model(graph, values, pose_graph)
+    closures = own_closures(model)
+
+    progress("places")
+    contacts = Contacts.of(pose_graph, integrity, model, closures)
+    places, findings = tuple(contacts.places()), _findings(closures)
+    level, reason = words.verdict(integrity, places, findings)
+    return Diagnosis(
+        verdict=level,
+        reason=reason,
+        places=places,
+        closures=findings,
+        pose_graph=pose_graph,
+        integrity=integrity,
+        convergence=step,
+        unit_m=model.unit_m,
+        n_chains=track_of(pose_graph).n_chains,
+    )
+
+
+def _findings(closures: OwnClosures) -> tuple[ClosureFinding, ...]:
+    """Records of the closures, least probable first; those that cannot be judged last."""
+    found = []
+    for k in np.argsort(closures.log_odds, kind="stable").tolist():  # NaN last
+        missed, turned = float(closures.missed_m[k]), float(np.degrees(closures.missed_rad[k]))
+        allowed, is_false = float(closures.allowed_m[k]), bool(closures.is_false[k])
+        known = bool(np.isfinite(closures.log_odds[k]))
+        found.append(
+            ClosureFinding(
+                slot=int(closures.slots[k]),
+                keyframes=(int(closures.pairs[k, 0]), int(closures.pairs[k, 1])),
+                probability=float(closures.probabilities[k]),
+                log_odds=float(closures.log_odds[k]),
+                missed_m=missed,
+                missed_deg=turned,
+                allowed_m=allowed,
+                is_false=is_false,
+                sentence=words.closure_sentence(missed, turned, allowed, is_false=is_false, known=known),
+            )
+        )
+    return tuple(found)
