@@ -17,14 +17,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pgti_gtsam.integrity import BetaSplit, Integrity
+from pgti_gtsam.diagnosis.records import ClosureFinding, Diagnosis, Place, Proposal
+from pgti_gtsam.integrity import BetaSplit, Distortion, Integrity
 from pgti_gtsam.optimality import GraphOptimality
-from pgti_gtsam.pose_graph import PoseGraph, key_label
-from pgti_gtsam.report.places import Place, find_places
-from pgti_gtsam.report.verdict import verdict
+from pgti_gtsam.pose_graph import key_label
 
 SCHEMA = "pgti-gtsam/audit"
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 
 MAX_SIGNATURES = 5000
 """Keyframes whose two signatures are kept, those with the largest ζ: 5000 take about 5 MB."""
@@ -35,8 +34,7 @@ Document = dict[str, Any]
 
 
 def audit_document(
-    pose_graph: PoseGraph,
-    integrity: Integrity,
+    diagnosis: Diagnosis,
     *,
     name: str,
     file_format: str,
@@ -47,9 +45,8 @@ def audit_document(
 
     Parameters
     ----------
-    pose_graph : PoseGraph
-    integrity : Integrity
-        What `assess` found on it.
+    diagnosis : Diagnosis
+        What `diagnose` found.
     name, file_format : str
         What the map is called, and what it was read from.
     notes : sequence of str
@@ -57,6 +54,7 @@ def audit_document(
     options : mapping, optional
         Settings of the audit, kept as they are.
     """
+    pose_graph, integrity = diagnosis.pose_graph, diagnosis.integrity
     adaptation = pose_graph.adaptation
     return {
         "schema": SCHEMA,
@@ -65,24 +63,29 @@ def audit_document(
         "input": {"name": name, "format": file_format, "notes": list(notes)},
         "options": dict(options or {}),
         "adaptation": None if adaptation is None else asdict(adaptation),
-        "summary": _summary(pose_graph, integrity),
+        "estimate": _estimate(diagnosis),
+        "verdict": {"level": diagnosis.verdict, "text": diagnosis.reason},
+        "summary": _summary(diagnosis),
         "optimality": {
             "unweighted": _optimality(integrity.optimality.unweighted),
             "weighted": None if integrity.optimality.weighted is None else _optimality(integrity.optimality.weighted),
         },
         "beta_sweep": [_split(integrity.split(beta)) for beta in SWEPT_BETAS],
-        "places": [
-            _place(rank, place, pose_graph, integrity)
-            for rank, place in enumerate(find_places(pose_graph, integrity), start=1)
-        ],
+        "places": [_place(rank, place, diagnosis) for rank, place in enumerate(diagnosis.places, start=1)],
+        "closures": [_closure(rank, closure) for rank, closure in enumerate(diagnosis.closures, start=1)],
         "keyframes": {
             "label": pose_graph.labels,
             "position": pose_graph.positions.tolist(),
             "radius": pose_graph.radii.tolist(),
             "score": _numbers(integrity.keyframe_scores),
+            "collision_score": _numbers(integrity.collisions.keyframe_scores),
             "stable_score": integrity.stable_scores.tolist(),
         },
-        "edges": {"pose_graph": pose_graph.edges.tolist(), "inserted": integrity.inserted_edges.tolist()},
+        "edges": {
+            "pose_graph": pose_graph.edges.tolist(),
+            "fusion": integrity.fusion_edges.tolist(),
+            "collisions": integrity.collision_edges.tolist(),
+        },
         "times": integrity.times.tolist(),
         "signatures": _signatures(integrity),
     }
@@ -93,22 +96,44 @@ def write_json(document: Mapping[str, Any], path: Path) -> None:
     path.write_text(json.dumps(document, allow_nan=False, ensure_ascii=False) + "\n", encoding="utf-8")
 
 
-def _summary(pose_graph: PoseGraph, integrity: Integrity) -> Document:
-    judged = verdict(integrity)
+def _estimate(diagnosis: Diagnosis) -> Document:
+    step = diagnosis.convergence
+    return {
+        "error": step.error,
+        "error_after_step": step.error_after,
+        "step_m": step.step_m,
+        "keyframe": step.keyframe,
+        "is_optimum": step.is_optimum(diagnosis.unit_m),
+    }
+
+
+def _summary(diagnosis: Diagnosis) -> Document:
+    pose_graph, integrity = diagnosis.pose_graph, diagnosis.integrity
     return {
         "n_keyframes": len(pose_graph),
+        "n_chains": diagnosis.n_chains,
         "n_pose_graph_edges": len(pose_graph.edges),
         "n_free_space_edges": len(integrity.free_space_edges),
         "n_merged_edges": len(integrity.merged_edges),
         "n_inserted_edges": len(integrity.inserted_edges),
+        "n_fusion_edges": len(integrity.fusion_edges),
+        "n_collision_edges": len(integrity.collision_edges),
         "n_components_pose_graph": integrity.n_components_pose_graph,
         "n_components_merged_graph": integrity.n_components_merged_graph,
-        "score": _number(integrity.score),
-        "mean_score": _number(integrity.mean_score),
-        "stable_score": integrity.stable_score,
-        "worst": integrity.worst,
-        "split": _split(integrity.split()),
-        "verdict": {"level": judged.level, "text": judged.text},
+        "median_radius_m": diagnosis.unit_m,
+        **_scores(integrity),
+        "fusion": _scores(integrity.fusion),
+        "collisions": _scores(integrity.collisions),
+    }
+
+
+def _scores(distortion: Distortion) -> Document:
+    return {
+        "score": _number(distortion.score),
+        "mean_score": _number(distortion.mean_score),
+        "stable_score": distortion.stable_score,
+        "worst": distortion.worst,
+        "split": _split(distortion.split()),
     }
 
 
@@ -126,16 +151,59 @@ def _optimality(compared: GraphOptimality) -> Document:
     return {name: asdict(getattr(compared, name)) for name in ("pose_graph", "merged_graph", "change")}
 
 
-def _place(rank: int, place: Place, pose_graph: PoseGraph, integrity: Integrity) -> Document:
+def _place(rank: int, place: Place, diagnosis: Diagnosis) -> Document:
+    pose_graph = diagnosis.pose_graph
     return {
         "rank": rank,
-        "score": _number(float(integrity.keyframe_scores[place.keyframes].max())),
-        "stable_score": float(integrity.stable_scores[place.worst]),
+        "kind": place.kind,
+        "sentence": place.sentence,
+        "remedy": place.remedy,
+        "scale": place.scale,
+        "score": _number(place.score),
+        "stable_score": place.stable_score,
         "worst": place.worst,
         "label": key_label(int(pose_graph.keys[place.worst])),
         "position": pose_graph.positions[place.worst].tolist(),
-        "keyframes": place.keyframes.tolist(),
-        "n_inserted_edges": place.n_inserted_edges,
+        "stretches": [list(ends) for ends in place.keyframes],
+        "lengths_m": list(place.revisit.lengths_m),
+        "closest": list(place.revisit.closest),
+        "keyframes": place.revisit.keyframes.tolist(),
+        "edges": place.edges.tolist(),
+        "probability": place.probability,
+        "allowance_m": _number(place.allowance_m),
+        "reach_m": place.reach_m,
+        "gain": _number(place.gain),
+        "proposal": None if place.proposal is None else _proposal(place.proposal),
+    }
+
+
+def _proposal(proposal: Proposal) -> Document:
+    """Position in m, and the rotation matrix, of the second keyframe seen from the first."""
+    pose = proposal.pose
+    return {
+        "keyframes": list(proposal.keyframes),
+        "position": np.asarray(pose.translation()).tolist(),
+        "rotation": np.asarray(pose.rotation().matrix()).tolist(),
+        "covariance": proposal.covariance.tolist(),
+        "sigma_m": proposal.sigma_m,
+        "sigma_deg": proposal.sigma_deg,
+        "search_m": proposal.search_m,
+    }
+
+
+def _closure(rank: int, closure: ClosureFinding) -> Document:
+    known = not np.isnan(closure.log_odds)
+    return {
+        "rank": rank,
+        "slot": closure.slot,
+        "keyframes": list(closure.keyframes),
+        "probability": closure.probability if known else None,
+        "log_odds": closure.log_odds if known else None,
+        "missed_m": closure.missed_m,
+        "missed_deg": closure.missed_deg,
+        "allowed_m": _number(closure.allowed_m),
+        "is_false": closure.is_false,
+        "sentence": closure.sentence,
     }
 
 

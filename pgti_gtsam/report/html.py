@@ -20,7 +20,7 @@ from plotly.offline import get_plotlyjs
 
 from pgti_gtsam.errors import InvalidValueError
 
-SCHEMA, SCHEMA_VERSION = "pgti-gtsam/audit", 1
+SCHEMA, SCHEMA_VERSION = "pgti-gtsam/audit", 2
 
 # One module scope, in reading order: later files use what earlier ones define.
 _SCRIPTS = ("text.js", "model.js", "camera.js", "map.js", "charts.js", "tables.js", "main.js")
@@ -35,7 +35,7 @@ def write_page(document: Mapping[str, Any], path: Path | str) -> None:
     Parameters
     ----------
     document : Mapping
-        The JSON document of an audit, schema version 1.
+        The JSON document of an audit, schema version 2.
     path : Path or str
         The file; it is overwritten.
 
@@ -55,7 +55,7 @@ def page(document: Mapping[str, Any]) -> str:
     Parameters
     ----------
     document : Mapping
-        The JSON document of an audit, schema version 1.
+        The JSON document of an audit, schema version 2.
 
     Returns
     -------
