@@ -1,6 +1,7 @@
 """Pose-Graph Topological Integrity for GTSAM factor graphs: is this map right, and where not?"""
 
 from pgti_gtsam.adapter import from_gtsam
+from pgti_gtsam.diagnosis import ClosureFinding, Diagnosis, Place, Proposal, diagnose
 from pgti_gtsam.errors import PgtiError
 from pgti_gtsam.gate import (
     ClosureDecision,
@@ -11,13 +12,16 @@ from pgti_gtsam.gate import (
     LoopClosureGate,
     gate_graph,
 )
-from pgti_gtsam.integrity import BetaSplit, Integrity, assess
+from pgti_gtsam.integrity import BetaSplit, Distortion, Integrity, assess
 from pgti_gtsam.pose_graph import Adaptation, EdgeSource, PoseGraph
 
 __all__ = [
     "Adaptation",
     "BetaSplit",
     "ClosureDecision",
+    "ClosureFinding",
+    "Diagnosis",
+    "Distortion",
     "EdgeSource",
     "GateOptions",
     "GatedISAM2",
@@ -26,8 +30,11 @@ __all__ = [
     "Integrity",
     "LoopClosureGate",
     "PgtiError",
+    "Place",
     "PoseGraph",
+    "Proposal",
     "assess",
+    "diagnose",
     "from_gtsam",
     "gate_graph",
 ]

@@ -10,7 +10,6 @@ import numpy as np
 from pgti_gtsam.adapter.values import read_keyframes
 from pgti_gtsam.gate.trial import optimised
 
-
 FAR = 0.25
 """Step, in ρ, beyond which an estimate is no optimum: overlaps of spheres change with it."""
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -126,8 +127,8 @@ def _walks(
 ) -> Iterator[tuple[NDArray[np.int64], sparse.csr_array]]:
     """step · last for the rows that are wanted, some rows at a time."""
     rows = np.flatnonzero(wanted & (np.diff(step.indptr) > 0))
-    paths = np.cumsum((step[rows] @ np.diff(last.indptr).astype(float)))
-    parts = np.searchsorted(paths, np.arange(MAX_PATHS, paths[-1], MAX_PATHS)) if len(rows) else []
+    paths = np.cumsum(step[rows] @ np.diff(last.indptr).astype(float))
+    parts: Any = np.searchsorted(paths, np.arange(MAX_PATHS, paths[-1], MAX_PATHS)) if len(rows) else []
     for part in np.split(rows, parts):
         yield part, step[part] @ last
 

@@ -41,9 +41,7 @@ def track_of(pose_graph: PoseGraph) -> Track:
     broken = np.ones(n - 1, dtype=bool) if len(steps) else np.zeros(n - 1, dtype=bool)
     broken[steps[steps[:, 1] == steps[:, 0] + 1, 0]] = False
     lengths = np.linalg.norm(np.diff(pose_graph.positions, axis=0), axis=1)
-    return Track(
-        chain=np.concatenate([[0], np.cumsum(broken)]), way_m=np.concatenate([[0.0], np.cumsum(lengths)])
-    )
+    return Track(chain=np.concatenate([[0], np.cumsum(broken)]), way_m=np.concatenate([[0.0], np.cumsum(lengths)]))
 
 
 def track_edges(steps: NDArray[np.float64], radii: NDArray[np.float64]) -> NDArray[np.int64]:

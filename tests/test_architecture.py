@@ -21,13 +21,16 @@ FLOORS = [
     "optimality",
     "integrity",
     "gate",
+    "estimate",
+    "places",
+    "diagnosis",
     "diffusion",
     "datasets",
     "dense_map",
     "report",
     "cli",
 ]
-MAY_IMPORT_GTSAM = {"adapter", "gate", "diffusion", "datasets"}
+MAY_IMPORT_GTSAM = {"adapter", "gate", "estimate", "diagnosis", "diffusion", "datasets"}
 
 
 def room_of(path):

@@ -21,7 +21,9 @@ EDGE_SOURCES = ("between", "covisibility", "track")
 
 MIN_SHARED_LANDMARKS = 15
 """Landmarks that two keyframes must share to count as connected: what ORB-SLAM's covisibility graph asks
-for (Mur-Artal et al., IEEE Transactions on Robotics 2015, https://doi.org/10.1109/TRO.2015.2463671)."""
+for (Mur-Artal et al., IEEE Transactions on Robotics 2015, https://doi.org/10.1109/TRO.2015.2463671). Where no two
+keyframes of a map share so many, as among trees or tags, one is enough: each sighting is a line of free sight, and two
+that end at one landmark lead from one keyframe to the other."""
 
 
 def from_gtsam(
@@ -30,7 +32,7 @@ def from_gtsam(
     *,
     radii: float | Mapping[int, float] | None = None,
     edges: Collection[str] | None = None,
-    min_shared_landmarks: int = MIN_SHARED_LANDMARKS,
+    min_shared_landmarks: int | None = None,
 ) -> PoseGraph:
     """Adapt a factor graph into a pose graph. Graph and values stay untouched.
 
@@ -51,10 +53,11 @@ def from_gtsam(
     edges : collection of {"between", "covisibility", "track"}, optional
         What connects keyframes: factors between them; landmarks that both see; the distance
         travelled between them being at most the sum of their radii. The default is the first two, and
-        the third as well where `radii` are given or no two keyframes share enough landmarks: the pose
-        graph would be sparser than the free space for want of landmarks, not of connections.
-    min_shared_landmarks : int
-        Landmarks that two keyframes must share to be connected by covisibility.
+        the third as well where `radii` are given or no two keyframes share a landmark: the pose graph
+        would be sparser than the free space for want of landmarks, not of connections.
+    min_shared_landmarks : int, optional
+        Landmarks that two keyframes must share to be connected by covisibility; without, `MIN_SHARED_LANDMARKS`, or one
+        where no two keyframes share so many.
 
     Returns
     -------
@@ -75,7 +78,7 @@ def from_gtsam(
         A position or radius that is not finite, a radius below zero or for no keyframe; an
         unknown source of edges, or fewer than one shared landmark.
     """
-    if min_shared_landmarks < 1:
+    if min_shared_landmarks is not None and min_shared_landmarks < 1:
         raise InvalidOptionError(f"expected min_shared_landmarks of at least 1, got {min_shared_landmarks}")
     chosen = None if edges is None else _checked_sources(edges)
     keyframes = read_keyframes(values)
@@ -83,7 +86,11 @@ def from_gtsam(
     reader.read(graph)
     sightings = reader.sightings()
     between = np.array([row[:2] for row in reader.between], dtype=np.int64).reshape(-1, 2)
-    covisible, most_shared = covisibility_edges(sightings, min_shared_landmarks)
+    enough = min_shared_landmarks or MIN_SHARED_LANDMARKS
+    covisible, most_shared = covisibility_edges(sightings, enough)
+    if min_shared_landmarks is None and most_shared < enough:
+        enough = 1
+        covisible, _ = covisibility_edges(sightings, enough)
     sources = chosen or _default_sources(radii_given=radii is not None, covisible=len(covisible) > 0)
     found = {"between": between, "covisibility": covisible}
     pairs = {name: found[name] for name in found if name in sources}
@@ -95,7 +102,7 @@ def from_gtsam(
         keys=keyframes.keys,
         positions=keyframes.positions,
         radii=all_radii,
-        adaptation=_adaptation(reader, sightings, pairs, all_radii, most_shared, min_shared_landmarks),
+        adaptation=_adaptation(reader, sightings, pairs, all_radii, most_shared, enough),
         **_edge_arrays(reader, pairs),
     )
 

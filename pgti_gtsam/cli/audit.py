@@ -1,121 +1,200 @@
-"""`pgti-gtsam audit` and `view`: score a map, write it down, show it."""
+"""`pgti-gtsam audit` and `view`: say whether a map is right and where not, write it down, show it."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from rich.console import Console
 
-from pgti_gtsam.adapter import MIN_SHARED_LANDMARKS, from_gtsam
+from pgti_gtsam import diagnosis
+from pgti_gtsam.adapter import from_gtsam
 from pgti_gtsam.cli.options import (
     Beta,
     Cloud,
     Edges,
     File,
     MinShared,
-    Radius,
     Values,
     check_outputs,
     read_map,
     split_names,
     stages,
 )
-from pgti_gtsam.integrity import assess
-from pgti_gtsam.pose_graph import PoseGraph
+from pgti_gtsam.datasets import Dataset, write_g2o
+from pgti_gtsam.diagnosis import Diagnosis
+from pgti_gtsam.diagnosis.proposals import proposal_graph
+from pgti_gtsam.diagnosis.sweep import radius_sweep
+from pgti_gtsam.errors import InvalidOptionError
+from pgti_gtsam.gate.trial import optimised
+from pgti_gtsam.places import tied_radius_m
 from pgti_gtsam.report import scene
-from pgti_gtsam.report.document import Document, audit_document, write_json
+from pgti_gtsam.report.document import Document, audit_document, sweep_rows, write_json
 from pgti_gtsam.report.html import write_page
-from pgti_gtsam.report.terminal import print_summary
+from pgti_gtsam.report.terminal import print_summary, print_sweep
+
+GRAVITY = ("consistent", "incomplete", "undecided", "inconsistent")
+
+AnyRadius = Annotated[
+    str | None,
+    typer.Option(
+        metavar="METRES|auto",
+        help="Free distance around every keyframe; auto: the median distance of keyframes that closures tie.",
+    ),
+]
+Optimise = Annotated[bool, typer.Option("--optimise", help="Audit the optimum of the graph, not the stored estimate.")]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Audited:
+    """A map with its diagnosis and document."""
+
+    dataset: Dataset
+    values: Any
+    diagnosis: Diagnosis
+    document: Document
 
 
 def audit(
     file: File = None,
     values: Values = None,
-    radius: Radius = None,
+    radius: AnyRadius = None,
     cloud: Cloud = None,
     edges: Edges = None,
-    min_shared_landmarks: MinShared = MIN_SHARED_LANDMARKS,
+    min_shared_landmarks: MinShared = None,
     beta: Beta = 0.5,
+    optimise: Optimise = False,
+    sweep: Annotated[
+        bool,
+        typer.Option("--radius-sweep", help="Audit at a quarter to four times the radii too: does the verdict hold?"),
+    ] = False,
     json: Annotated[Path | None, typer.Option(help="Write everything found to this JSON file.")] = None,
     html: Annotated[Path | None, typer.Option(help="Write a self-contained page to this file.")] = None,
+    proposals: Annotated[
+        Path | None, typer.Option(help="Write ties that a scan matcher can try to this g2o file, as predicted.")
+    ] = None,
+    fail_on: Annotated[
+        str | None,
+        typer.Option(metavar="VERDICT", help=f"Exit with code 1 from this on: {', '.join(GRAVITY[1:])}."),
+    ] = None,
     fail_above: Annotated[float | None, typer.Option(help="Exit with code 1 if Λ is above this.")] = None,
 ) -> None:
-    """Score a map, and name the places where its pose graph disagrees with its free space."""
-    check_outputs([json, html], [file, values, cloud])
-    with stages(5) as stage:
-        document = _audit(file, values, radius, cloud, edges, min_shared_landmarks, beta, stage)
+    """Say whether a map is right, where not, and what to do about it."""
+    check_outputs([json, html, proposals], [file, values, cloud])
+    _check_failures(fail_on, fail_above)
+    with stages(9) as stage:
+        audited = _audit(file, values, radius, cloud, edges, min_shared_landmarks, beta, optimise, stage)
+        document = audited.document
+        if sweep:
+            swept = radius_sweep(audited.dataset.graph, audited.values, audited.diagnosis, progress=stage)
+            document["radius_sweep"] = sweep_rows(swept)
         if json is not None:
             stage("writing JSON")
             write_json(document, json)
         if html is not None:
             stage("writing the page")
             write_page(document, html)
+        if proposals is not None:
+            graph, places = proposal_graph(audited.diagnosis, audited.values)
+            write_g2o(graph, places, proposals)
     console = Console(highlight=False)
     print_summary(document, console)
-    for what, path in (("JSON", json), ("page", html)):
+    if sweep:
+        print_sweep(document, console)
+    for what, path in (("JSON", json), ("page", html), ("proposals", proposals)):
         if path is not None:
             console.print(f"\n{what}: ", path, sep="", style="dim", markup=False, soft_wrap=True)
-    score = document["summary"]["score"]
-    if fail_above is not None and (score == "infinite" or score > fail_above):
+    if _fails(document, fail_on, fail_above):
         raise typer.Exit(1)
 
 
 def view(
     file: File = None,
     values: Values = None,
-    radius: Radius = None,
+    radius: AnyRadius = None,
     cloud: Cloud = None,
     edges: Edges = None,
-    min_shared_landmarks: MinShared = MIN_SHARED_LANDMARKS,
+    min_shared_landmarks: MinShared = None,
     beta: Beta = 0.5,
+    optimise: Optimise = False,
     png: Annotated[Path | None, typer.Option(help="Render to this file instead of opening a window.")] = None,
 ) -> None:
-    """Show the scored map in 3D (needs Open3D)."""
+    """Show the audited map in 3D (needs Open3D)."""
     check_outputs([png], [file, values, cloud])
-    with stages(4) as stage:
-        document = _audit(file, values, radius, cloud, edges, min_shared_landmarks, beta, stage)
+    with stages(8) as stage:
+        audited = _audit(file, values, radius, cloud, edges, min_shared_landmarks, beta, optimise, stage)
         if png is not None:
             stage("rendering")
-            scene.render_png(document, png)
+            scene.render_png(audited.document, png)
     if png is None:
-        scene.show(document)
+        scene.show(audited.document)
 
 
 def _audit(
     file: Path | None,
     values: Path | None,
-    radius: float | None,
+    radius: str | None,
     cloud: Path | None,
     edges: str | None,
-    min_shared_landmarks: int,
+    min_shared_landmarks: int | None,
     beta: float,
+    optimise: bool,
     stage: Callable[[str], None],
-) -> Document:
-    """Read, adapt, assess: numbered steps of every command that scores a map."""
+) -> _Audited:
+    """Read, optimise, find the radius, diagnose: numbered steps of every command that audits a map."""
     stage("reading")
-    dataset, radii = read_map(file, values, radius, cloud)
-    stage("adapting")
-    pose_graph: PoseGraph = from_gtsam(
-        dataset.graph,
-        dataset.values,
-        radii=radii,
-        edges=split_names(edges),
-        min_shared_landmarks=min_shared_landmarks,
-    )
-    stage(f"spectra of {len(pose_graph)} keyframes")
-    integrity = assess(pose_graph, beta=beta)
+    metres = None if radius in (None, "auto") else _metres(str(radius))
+    dataset, radii = read_map(file, values, metres, cloud)
+    notes, best = list(dataset.notes), dataset.values
+
+    if optimise:
+        stage("optimising")
+        best = optimised(dataset.graph, dataset.values)
+        before, after = dataset.graph.error(dataset.values), dataset.graph.error(best)
+        notes.append(f"the optimum is audited: error {before:.4g} as stored, {after:.4g} there")
+
+    adaptation: dict[str, Any] = {"edges": split_names(edges), "min_shared_landmarks": min_shared_landmarks}
+    if radius == "auto":
+        radii = tied_radius_m(from_gtsam(dataset.graph, best, radii=1.0, **adaptation))
+        notes.append(f"radius {radii:.3g} m around every keyframe: the median distance of keyframes that closures tie")
+    elif metres is not None:
+        notes.append(f"radius {metres:g} m around every keyframe is what --radius says; --radius-sweep tries others")
+
+    found = diagnosis.diagnose(dataset.graph, best, radii=radii, beta=beta, progress=stage, **adaptation)
+    adapted = found.pose_graph.adaptation
     options = {
-        "radius": radius,
+        "radius": radius if metres is None else metres,
         "cloud": None if cloud is None else cloud.name,
-        "edges": list(pose_graph.adaptation.edges) if pose_graph.adaptation else [],
-        "min_shared_landmarks": min_shared_landmarks,
+        "edges": list(adapted.edges) if adapted else [],
+        "min_shared_landmarks": adapted.min_shared_landmarks if adapted else min_shared_landmarks,
         "beta": beta,
-        "n_times": len(integrity.times),
-        "norm": integrity.norm,
+        "n_times": len(found.integrity.times),
+        "norm": found.integrity.norm,
+        "optimise": optimise,
     }
-    return audit_document(
-        pose_graph, integrity, name=dataset.name, file_format=dataset.format, notes=dataset.notes, options=options
-    )
+    document = audit_document(found, name=dataset.name, file_format=dataset.format, notes=notes, options=options)
+    return _Audited(dataset=dataset, values=best, diagnosis=found, document=document)
+
+
+def _metres(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise InvalidOptionError(f"expected metres or auto for --radius, got {text!r}") from None
+
+
+def _check_failures(fail_on: str | None, fail_above: float | None) -> None:
+    if fail_on is not None and fail_on not in GRAVITY[1:]:
+        raise InvalidOptionError(f"expected --fail-on {', '.join(GRAVITY[1:])}, got {fail_on!r}")
+    if fail_above is not None and math.isnan(fail_above):
+        raise InvalidOptionError("expected a number for --fail-above, got nan: no score is above that")
+
+
+def _fails(document: Document, fail_on: str | None, fail_above: float | None) -> bool:
+    score, level = document["summary"]["score"], document["verdict"]["level"]
+    too_high = fail_above is not None and (score == "infinite" or score > fail_above)
+    return too_high or (fail_on is not None and GRAVITY.index(level) >= GRAVITY.index(fail_on))

@@ -44,7 +44,7 @@ def gate(
     radius: Radius = None,
     cloud: Cloud = None,
     edges: Edges = None,
-    min_shared_landmarks: MinShared = MIN_SHARED_LANDMARKS,
+    min_shared_landmarks: MinShared = None,
     every: Every = 1,
     decisions: Annotated[Path | None, typer.Option(help="Write every decision, a JSON object a line.")] = None,
     scores: Annotated[bool, typer.Option("--scores", help="Add Λ and Λ_glob before and after; slow.")] = False,
@@ -69,7 +69,7 @@ def gate(
             dataset.graph,
             dataset.values,
             radii,
-            gate=_gate(edges, min_shared_landmarks),
+            gate=_gate(edges, min_shared_landmarks or MIN_SHARED_LANDMARKS),
             progress=lambda done, of: tell("judging closures", done, of),
         )
         measured = _scores(gated.decisions, tell) if scores else None
@@ -97,7 +97,7 @@ def closures(
     radius: Radius = None,
     cloud: Cloud = None,
     edges: Edges = None,
-    min_shared_landmarks: MinShared = MIN_SHARED_LANDMARKS,
+    min_shared_landmarks: MinShared = None,
     every: Every = 1,
     json: Annotated[Path | None, typer.Option(help="Write every closure with its evidence to this JSON file.")] = None,
 ) -> None:
@@ -115,7 +115,7 @@ def closures(
             dataset.graph,
             dataset.values,
             radii,
-            gate=_gate(edges, min_shared_landmarks),
+            gate=_gate(edges, min_shared_landmarks or MIN_SHARED_LANDMARKS),
             progress=lambda done, of: tell("judging closures", done, of),
         )
         records = decision_records(judged, _ends(dataset, judged), true_closures=dataset.true_closures)

@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 from pgti_gtsam import datasets
-from pgti_gtsam.adapter import EDGE_SOURCES
+from pgti_gtsam.adapter import EDGE_SOURCES, MIN_SHARED_LANDMARKS
 from pgti_gtsam.adapter.values import read_keyframes
 from pgti_gtsam.dense_map import radii_from_cloud
 from pgti_gtsam.errors import InvalidOptionError
@@ -41,7 +41,13 @@ Edges = Annotated[
         "all three where radii do not come from landmarks or no landmarks are shared."
     ),
 ]
-MinShared = Annotated[int, typer.Option(help="Landmarks that two keyframes must share to be connected.")]
+MinShared = Annotated[
+    int | None,
+    typer.Option(
+        help=f"Landmarks that two keyframes must share to be connected. Default: {MIN_SHARED_LANDMARKS}, "
+        "or 1 where no two share so many."
+    ),
+]
 Every = Annotated[int, typer.Option(help="Keep every so many-th pose as a keyframe, odometry composed; 1: all.")]
 Beta = Annotated[float, typer.Option(help="Share of the time scales that counts as local.")]
 

@@ -14,7 +14,7 @@ from collections.abc import Callable, Collection, Mapping
 import gtsam
 import numpy as np
 
-from pgti_gtsam.adapter import MIN_SHARED_LANDMARKS, from_gtsam
+from pgti_gtsam.adapter import from_gtsam
 from pgti_gtsam.diagnosis import words
 from pgti_gtsam.diagnosis.contacts import Contacts
 from pgti_gtsam.diagnosis.records import ClosureFinding, Diagnosis, Place, Proposal
@@ -33,7 +33,7 @@ def diagnose(
     *,
     radii: float | Mapping[int, float] | None = None,
     edges: Collection[str] | None = None,
-    min_shared_landmarks: int = MIN_SHARED_LANDMARKS,
+    min_shared_landmarks: int | None = None,
     beta: float = 0.5,
     progress: Callable[[str], None] = lambda step: None,
 ) -> Diagnosis:

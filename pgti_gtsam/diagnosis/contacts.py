@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +16,7 @@ from pgti_gtsam.diagnosis.records import Kind, Place, Proposal
 from pgti_gtsam.gate.drift_model import DriftModel, Settled
 from pgti_gtsam.gate.own_closures import OwnClosures
 from pgti_gtsam.integrity import Distortion, Integrity, relative_distortion
-from pgti_gtsam.places import WINDOW, Revisit, grouped, places_on, revisit, revisits
+from pgti_gtsam.places import WINDOW, Neighbourhoods, Revisit, neighbourhoods, places_on, revisit, revisits
 from pgti_gtsam.pose_graph import PoseGraph
 from pgti_gtsam.spectral.laplacian import connected_components, laplacian
 from pgti_gtsam.track import Track, track_of
@@ -23,8 +24,8 @@ from pgti_gtsam.track import Track, track_of
 CONTACT = (5.4, 0.8, -2.5)
 """Log odds that two stretches in contact run through the same space: c₀ + c₁ ln ℓ + c₂ ln s, with ℓ the length of the
 shorter stretch and s the drift's standard deviation between them, both in units of what their spheres reach. Fitted to
-2804 contacts in odometry through the seven ray-cast worlds (seeds 1000 to 1015, drift of 0.5 to 3 times the simulator's),
-of which 94 % were real: a long parallel contact is hardly ever chance, a short one after a long drive often is."""
+2804 contacts of odometry in the seven ray-cast worlds (seeds 1000 to 1015, 0.5 to 3 times the simulator's drift), of
+which 94 % were real: a long parallel contact is hardly ever chance, a short one after a long drive often is."""
 
 SHORTEST, LEAST_DRIFT = 0.5, 0.3
 """Least ℓ and s: below, the fit had no contacts to tell by."""
@@ -62,7 +63,7 @@ Pairs = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Contacts:
-    """A map with its contacts: what every place is measured by.
+    """A map with its contacts, and what tells them apart.
 
     Attributes
     ----------
@@ -72,10 +73,10 @@ class Contacts:
     settled : Settled
         The drift model without the false closures.
     collisions : list of Revisit
-    sampled : (k, 2) int
-        An explained overlap of every neighbourhood on two stretches that are far apart on the track.
     far : (f, 2) int
-        All such explained overlaps, with the row of their sample in `sample_of`, (f,).
+        Explained overlaps of keyframes that are far apart on the track.
+    near_by : Neighbourhoods
+        Of these.
     """
 
     pose_graph: PoseGraph
@@ -84,19 +85,17 @@ class Contacts:
     closures: OwnClosures
     settled: Settled
     collisions: list[Revisit]
-    sampled: Pairs
     far: Pairs
-    sample_of: NDArray[np.int64]
+    near_by: Neighbourhoods
 
     @classmethod
-    def of(
-        cls, pose_graph: PoseGraph, integrity: Integrity, model: DriftModel, closures: OwnClosures
-    ) -> Contacts:
-        """Group the collisions, sample the explained overlaps, and ask the drift model for both."""
-        track = track_of(pose_graph)
-        collisions = revisits(pose_graph, integrity, track)
-        far, sampled, sample_of = _sampled(integrity.fusion_edges, places_on(pose_graph, track))
-        asked = np.concatenate([np.array([each.closest for each in collisions], dtype=np.int64).reshape(-1, 2), sampled])
+    def of(cls, pose_graph: PoseGraph, integrity: Integrity, model: DriftModel, closures: OwnClosures) -> Contacts:
+        """Group the collisions, sample the explained overlaps, and settle the drift model to be asked for both."""
+        track, fusion = track_of(pose_graph), integrity.fusion_edges
+        places, collisions = places_on(pose_graph, track), revisits(pose_graph, integrity, track)
+        far = fusion[places[fusion[:, 1]] - places[fusion[:, 0]] > 2.0]
+        near_by = neighbourhoods(far, places, SAMPLED)
+        closest = np.array([each.closest for each in collisions], dtype=np.int64).reshape(-1, 2)
         active = np.ones(len(model.ties.pairs), dtype=bool)
         active[closures.ties[closures.is_false]] = False
         return cls(
@@ -104,45 +103,38 @@ class Contacts:
             integrity=integrity,
             track=track,
             closures=closures,
-            settled=model.settled(active, asked=asked, start=closures.settled),
+            settled=model.settled(active, np.concatenate([closest, far[near_by.first]]), closures.settled),
             collisions=collisions,
-            sampled=sampled,
             far=far,
-            sample_of=sample_of,
+            near_by=near_by,
         )
-
-    @property
-    def explained(self) -> Pairs:
-        """E_e."""
-        return np.concatenate([self.pose_graph.edges, self.integrity.fusion_edges])
 
     def places(self) -> list[Place]:
         """All places, gravest kinds first, among equals those that a tie explains most overlaps of."""
         found = [self._collision(each) for each in self.collisions]
-        found += self._untied_passes()
-        found += self._fusion()
+        found += [*self._untied_passes(), *self._fusion()]
         return sorted(found, key=lambda place: (GRAVITY[place.kind], -len(place.edges)))
 
     def _collision(self, contact: Revisit) -> Place:
-        allowance = self._allowance_m(contact.closest)
-        return self._place(self._kind(contact, allowance), contact, allowance, self.integrity.collisions)
-
-    def _kind(self, contact: Revisit, allowance_m: float) -> Kind:
-        """Of which kind overlaps are that nothing explains."""
+        """The place of overlaps that nothing explains."""
+        kind: Kind
+        probability = self._probability(contact)
         if self._is_gap(contact):
-            return "tracking gap"
-        if self.closures.is_false.any() and not self._stays(contact):
-            return "likely false closure"
-        probability = self.probability(contact, allowance_m)
-        if probability >= DECIDED:
-            return "missed closure"
-        return "collision by drift" if probability <= 1 - DECIDED else "undecided contact"
+            kind = "tracking gap"
+        elif self.closures.is_false.any() and not self._stays(contact):
+            kind = "likely false closure"
+        elif probability >= DECIDED:
+            kind = "missed closure"
+        else:
+            kind = "collision by drift" if probability <= 1 - DECIDED else "undecided contact"
+        return self._place(kind, contact, self.integrity.collisions)
 
     def _is_gap(self, contact: Revisit) -> bool:
         """Whether the track itself breaks off here and goes on beside."""
         i, j = contact.edges.T
-        same_sensor = self.pose_graph.keys[i] >> np.uint64(56) == self.pose_graph.keys[j] >> np.uint64(56)
-        return bool(((j - i <= 2 * WINDOW) & (self.track.chain[i] != self.track.chain[j]) & same_sensor).any())
+        keys, chain = self.pose_graph.keys, self.track.chain
+        same_sensor = keys[i] >> np.uint64(56) == keys[j] >> np.uint64(56)
+        return bool((same_sensor & (chain[i] != chain[j]) & (j - i <= 2 * WINDOW)).any())
 
     def _stays(self, contact: Revisit) -> bool:
         """Whether the stretches touch without the false closures too."""
@@ -151,75 +143,73 @@ class Contacts:
         reach = self.pose_graph.radii[i] + self.pose_graph.radii[j]
         return bool((np.linalg.norm(places[i] - places[j], axis=1) <= reach).any())
 
-    def probability(self, contact: Revisit, allowance_m: float) -> float:
-        """Probability that the two stretches run through the same space."""
-        reach = self._reach_m(contact.closest)
-        length = max(min(contact.lengths_m) / reach, SHORTEST)
-        if not np.isfinite(allowance_m):
-            return 0.5  # where one part lies to the other is not known
-        drift = max(allowance_m / reach, LEAST_DRIFT)
+    def _probability(self, contact: Revisit) -> float:
+        """Probability that the two stretches run through the same space; a half where no tie leads between them."""
+        allowance, reach = self._allowance_m(contact.closest), self._reach_m(contact.closest)
+        if not np.isfinite(allowance) or reach == 0:
+            return 0.5
+        length, drift = max(min(contact.lengths_m) / reach, SHORTEST), max(allowance / reach, LEAST_DRIFT)
         return float(expit(CONTACT[0] + CONTACT[1] * np.log(length) + CONTACT[2] * np.log(drift)))
 
     def _untied_passes(self) -> list[Place]:
         """Explained overlaps between which the drift allows more than the spheres reach."""
-        if not len(self.sampled):
-            return []
-        allowances = self.settled.allowances_m(self.sampled) * self.closures.drift_scale
-        reach = self.pose_graph.radii[self.sampled].sum(axis=1)
-        excess = np.divide(allowances, reach, out=np.zeros_like(reach), where=reach > 0)
-        untied = self.far[(excess > UNTIED)[self.sample_of]]
-        groups = grouped(untied, places_on(self.pose_graph, self.track))
+        sampled, cell_of = self.far[self.near_by.first], self.near_by.cell_of
+        reach = self.pose_graph.radii[sampled].sum(axis=1)
+        allowed = self.settled.allowances_m(sampled) * self.closures.drift_scale
+        excess = np.divide(allowed, reach, out=np.zeros_like(reach), where=reach > 0)
+        loose = np.flatnonzero((excess > UNTIED)[cell_of])
+        groups = neighbourhoods(self.far[loose], places_on(self.pose_graph, self.track), SAMPLED).group_of
         found = []
         for group in range(groups.max(initial=-1) + 1):
-            pairs = untied[groups == group]
-            own = np.unique(self.sample_of[(excess > UNTIED)[self.sample_of]][groups == group])
-            loosest = own[np.argmax(excess[own])]
-            contact = revisit(self.pose_graph, self.track, pairs, tied_at=self.sampled[loosest])
-            found.append(
-                self._place("untied second pass", contact, float(allowances[loosest]), self.integrity.fusion)
-            )
+            own = loose[groups == group]
+            loosest = sampled[cell_of[own][np.argmax(excess[cell_of[own]])]]
+            contact = revisit(self.pose_graph, self.track, self.far[own], tied_at=loosest)
+            found.append(self._place("untied second pass", contact, self.integrity.fusion))
         return found
 
     def _fusion(self) -> list[Place]:
-        """The place where incomplete fusion changes Λ most, if it does so notably."""
+        """The place where incomplete fusion changes the signatures most, if it does so notably."""
         fusion = self.integrity.fusion
         if fusion.score < NOTABLE_FUSION or not len(self.far):
             return []
-        groups = grouped(self.far, places_on(self.pose_graph, self.track)) if len(self.far) < 20_000 else self.sample_of
-        peak = np.argmax(fusion.stable_scores[self.far].max(axis=1))
-        contact = revisit(self.pose_graph, self.track, self.far[groups == groups[peak]], tied_at=self.sampled[self.sample_of[peak]])
-        return [self._place("incomplete fusion", contact, self._allowance_m(contact.closest), fusion)]
+        peak = int(np.argmax(fusion.stable_scores[self.far].max(axis=1)))
+        own = self.far[self.near_by.group_of == self.near_by.group_of[peak]]
+        sample = self.far[self.near_by.first[self.near_by.cell_of[peak]]]
+        return [self._place("incomplete fusion", revisit(self.pose_graph, self.track, own, tied_at=sample), fusion)]
 
-    def _place(self, kind: Kind, contact: Revisit, allowance_m: float, distortion: Distortion) -> Place:
+    def _place(self, kind: Kind, contact: Revisit, distortion: Distortion) -> Place:
+        """Numbers first, then the words that they make."""
         members = contact.keyframes
         worst = int(members[np.argmax(distortion.stable_scores[members])])
-        is_real = kind in ("missed closure", "untied second pass", "tracking gap", "incomplete fusion")
-        probability = self.probability(contact, allowance_m)
-        numbers = {
-            "kind": kind,
-            "revisit": contact,
-            "score": float(distortion.keyframe_scores[members].max()),
-            "stable_score": float(distortion.stable_scores[worst]),
-            "worst": worst,
-            "scale": _scale(distortion, worst),
-            "probability": max(probability, DECIDED) if is_real else probability,
-            "allowance_m": allowance_m,
-            "reach_m": self._reach_m(contact.closest),
-            "gain": _gain(len(self.pose_graph), self.explained, contact.closest),
-            "proposal": None if kind == "incomplete fusion" else self._proposal(contact.closest),
-        }
-        labels = self.pose_graph.labels
-        worst_closure = self._blamed(contact) if kind == "likely false closure" else None
-        return Place(**numbers, **words.place_words(numbers, labels, worst_closure))
+        place = Place(
+            kind=kind,
+            revisit=contact,
+            score=float(distortion.keyframe_scores[members].max()),
+            stable_score=float(distortion.stable_scores[worst]),
+            worst=worst,
+            scale=_scale(distortion, worst),
+            probability=self._probability(contact),
+            allowance_m=self._allowance_m(contact.closest),
+            reach_m=self._reach_m(contact.closest),
+            gain=_gain(len(self.pose_graph), self._explained(), contact.closest),
+            sentence="",
+            remedy="",
+            proposal=None if kind == "incomplete fusion" else self._proposal(contact.closest),
+        )
+        blamed = self._blamed(contact) if kind == "likely false closure" else None
+        sentence, remedy = words.place_words(place, self.pose_graph.labels, blamed)
+        return replace(place, sentence=sentence, remedy=remedy)
 
     def _blamed(self, contact: Revisit) -> tuple[int, int]:
-        """The false closure that spans most of what lies between the two stretches."""
+        """The false closure whose ends lie nearest to those of the contact on the track."""
         false = self.closures.pairs[self.closures.is_false]
-        i, j = contact.closest
-        common = np.minimum(false[:, 1], j) - np.maximum(false[:, 0], i)
-        union = np.maximum(false[:, 1], j) - np.minimum(false[:, 0], i)
-        blamed = false[np.argmax(common / union)]
-        return int(blamed[0]), int(blamed[1])
+        way = self.track.way_m
+        first, second = false[np.abs(way[false] - way[list(contact.closest)]).sum(axis=1).argmin()].tolist()
+        return first, second
+
+    def _explained(self) -> Pairs:
+        """E_e."""
+        return np.concatenate([self.pose_graph.edges, self.integrity.fusion_edges])
 
     def _allowance_m(self, pair: tuple[int, int]) -> float:
         return float(self.settled.allowances_m(np.array([pair]))[0] * self.closures.drift_scale)
@@ -228,41 +218,33 @@ class Contacts:
         return float(self.pose_graph.radii[list(pair)].sum())
 
     def _proposal(self, pair: tuple[int, int]) -> Proposal | None:
-        i, j = pair
         covariance = self.settled.covariances(np.array([pair]))[0] * self.closures.drift_scale**2
         if np.isnan(covariance).any():
             return None
-        own = self.settled.model.translation
-        turn = np.delete(np.arange(len(covariance)), np.arange(len(covariance))[own])
-        spread, turned = (float(np.sqrt(np.linalg.eigvalsh(block)[-1])) for block in
-                          (covariance[own, own], covariance[np.ix_(turn, turn)]))
+        own = np.arange(len(covariance))[self.settled.model.translation]
+        turn = np.setdiff1d(np.arange(len(covariance)), own)
+        shift_m, turn_rad = (
+            float(np.sqrt(np.linalg.eigvalsh(covariance[np.ix_(part, part)])[-1])) for part in (own, turn)
+        )
+        first, second = (self.settled.poses[k] for k in pair)
         return Proposal(
-            keyframes=(i, j),
-            pose=self.settled.poses[i].between(self.settled.poses[j]),
+            keyframes=pair,
+            pose=first.between(second),
             covariance=covariance,
-            sigma_m=spread,
-            sigma_deg=float(np.degrees(turned)),
-            search_m=SEARCH * spread,
+            sigma_m=shift_m,
+            sigma_deg=float(np.degrees(turn_rad)),
+            search_m=SEARCH * shift_m,
         )
 
 
-def _sampled(fusion: Pairs, places: NDArray[np.float64]) -> tuple[Pairs, Pairs, NDArray[np.int64]]:
-    """Explained overlaps of keyframes far apart on the track, one for each neighbourhood, and who stands for whom."""
-    far = fusion[places[fusion[:, 1]] - places[fusion[:, 0]] > 2.0]
-    size = 0.5
-    while True:
-        cells = np.floor(places[far] / size)
-        _, first, sample_of = np.unique(cells, axis=0, return_index=True, return_inverse=True)
-        if len(first) <= SAMPLED:
-            return far, far[first], sample_of.reshape(-1)
-        size *= 1.5
-
-
-def _scale(distortion: Distortion, keyframe: int) -> str:
-    row = slice(keyframe, keyframe + 1)
+def _scale(distortion: Distortion, keyframe: int) -> Literal["local", "global"]:
+    """Over which half of the time grid the keyframe's ζ is larger."""
+    before, after = (
+        each[keyframe : keyframe + 1] for each in (distortion.signatures_pose_graph, distortion.signatures_merged_graph)
+    )
     half = len(distortion.times) // 2
     early, late = (
-        float(relative_distortion(distortion.signatures_pose_graph[row, part], distortion.signatures_merged_graph[row, part], 2)[0])
+        relative_distortion(before[:, part], after[:, part], distortion.norm)[0]
         for part in (slice(half), slice(half, None))
     )
     return "global" if late > early else "local"

@@ -61,8 +61,8 @@ class Place:
     revisit : Revisit
         Its overlaps and its two stretches of track.
     score, stable_score : float
-        Largest ζ and stable score of the place's keyframes, of the comparison that the place comes from: of `fusion` for
-        an untied second pass and incomplete fusion, else of `collisions`.
+        Largest ζ and stable score of the place's keyframes, of the comparison that the place comes from: `fusion` for
+        an untied second pass and incomplete fusion, else `collisions`.
     worst : int
         The keyframe with that stable score.
     scale : {"local", "global"}

@@ -3,8 +3,8 @@
 Covariances are often wrong, by a factor or in kind. The model does without the caller's. It grants every step of the
 track what a poor odometer of any make still keeps, a white error that grows with the way in units of the free radius
 ρ, and every closure a part of ρ. With T the keyframes' poses, a tie (i, j) that measures z has the error
-e = Log(z⁻¹ T_i⁻¹ T_j), which the perturbations T Exp(δ) change by δ_j − A δ_i, A = Ad(T_j⁻¹ T_i). The information matrix
-Σ Jᵀ R⁻¹ J of all ties is a graph Laplacian with matrix weights, and the covariance of the relative pose of two
+e = Log(z⁻¹ T_i⁻¹ T_j), which the perturbations T Exp(δ) change by δ_j − A δ_i, A = Ad(T_j⁻¹ T_i). The information
+matrix Σ Jᵀ R⁻¹ J of all ties is a graph Laplacian with matrix weights, and the covariance of the relative pose of two
 keyframes is the effective resistance between them.
 
 From one factorisation follows what every tie would have been predicted to measure without it: with the residual r at
@@ -27,21 +27,12 @@ from numpy.typing import NDArray
 from pgti_gtsam.adapter.values import Keyframes, read_keyframes, typed_value
 from pgti_gtsam.errors import UnsolvableGraphError
 from pgti_gtsam.gate.evidence import free_space_unit
-from pgti_gtsam.pose_graph import EdgeSource, PoseGraph
+from pgti_gtsam.gate.ties import Ties, ties_of, variances_of
+from pgti_gtsam.gate.trial import optimised
+from pgti_gtsam.pose_graph import PoseGraph
 from pgti_gtsam.spectral.block_inverse import BlockFactor, factorise, inverse_blocks, solve
 from pgti_gtsam.spectral.elimination_tree import EliminationTree, analyse
 from pgti_gtsam.spectral.laplacian import connected_components
-
-DRIFT = 0.03
-"""Standard deviation of the odometry after one ρ travelled or one radian turned: 3 % of ρ, and 0.03 rad (1.7°). With
-ρ = 4 m that is 12 cm and 1.7° for four metres of road, with ρ = 0.75 m it is 2 cm and 1.7° for a step indoors: worse than
-what visual or wheel odometry is trusted with."""
-
-SHORTEST = 0.05
-"""Least length of a step, in ρ: a standing robot drifts a little too."""
-
-OFFSET, OFFSET_RAD = 0.125, 0.075
-"""Standard deviation of what a closure measures, in ρ and in rad."""
 
 ANCHOR = 1e-4
 """Standard deviation in ρ and rad of the pose that each part of the map is held at. No relative pose depends on it; a
@@ -51,40 +42,13 @@ HELD = 0.5
 """Standard deviation of a position that a factor of one variable holds, in ρ: a satellite receiver, say."""
 
 MAX_ITERATIONS = 10
-"""Levenberg-Marquardt steps to the model's optimum. Where closures are false there is no good one, and no need of it."""
+"""Levenberg-Marquardt steps to the model's optimum. Where closures are false there is no good one, nor need."""
 
 LEAST_REST = 1e-6
 """Least eigenvalue of S in units of R: the rounding of the covariances. What the others predict is uncertain by 1000
 tolerances there, and how uncertain exactly does not matter."""
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Ties:
-    """What holds keyframes together, and how well.
-
-    Attributes
-    ----------
-    pairs : (m, 2) int
-        Keyframes i and j of each tie, i < j.
-    measured : tuple of m gtsam.Pose2 or gtsam.Pose3
-        Pose of j seen from i.
-    variances : (m, d) float
-        In the tangent space of j, in GTSAM's order.
-    slots : (m,) int
-        Slot of the loop closure that the tie is; −1 for odometry and what both keyframes see.
-    """
-
-    pairs: NDArray[np.int64]
-    measured: tuple[Any, ...]
-    variances: Array
-    slots: NDArray[np.int64]
-
-    @property
-    def closures(self) -> NDArray[np.int64]:
-        """Which ties are loop closures."""
-        return np.flatnonzero(self.slots >= 0)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -119,14 +83,14 @@ class DriftModel:
 
     def variances(self, length: float, angle: float) -> Array:
         """Squares of a length in ρ and of an angle in rad, in GTSAM's order, (d,)."""
-        return _variances(length * self.unit_m, angle, is_planar=self.is_planar)
+        return variances_of(length * self.unit_m, angle, is_planar=self.is_planar)
 
     @cached_property
     def spread(self) -> Array:
         """Covariance of the relative pose of keyframes drawn at random, were all headings alike, (d, d)."""
         places = np.array([pose.translation() for pose in self.poses])
         extent = float(np.sqrt(2 * places.var(axis=0).mean()))
-        return np.diag(_variances(extent, np.pi / np.sqrt(3), is_planar=self.is_planar))
+        return np.diag(variances_of(extent, np.pi / np.sqrt(3), is_planar=self.is_planar))
 
     def settled(
         self,
@@ -174,26 +138,30 @@ class DriftModel:
             factor=factor,
         )
 
-    def _residuals(self, poses, steps):
-        i, j = self.ties.pairs.T
-        carry = _adjoints(poses, self.ties.pairs)
-        return _errors(poses, self.ties) + steps[j] - np.einsum("kab,kb->ka", carry, steps[i])
-
-    def _optimum(self, active, component, start):
-        graph = gtsam.NonlinearFactorGraph(); values = gtsam.Values()
-        B, P = (gtsam.BetweenFactorPose2, gtsam.PriorFactorPose2) if self.is_planar else (gtsam.BetweenFactorPose3, gtsam.PriorFactorPose3)
+    def _optimum(self, active: NDArray[np.bool_], component: NDArray[np.int32], start: Sequence[Any]) -> list[Any]:
+        """Poses by Levenberg-Marquardt: damped, for false closures tear at the map."""
+        between = gtsam.BetweenFactorPose2 if self.is_planar else gtsam.BetweenFactorPose3
+        prior = gtsam.PriorFactorPose2 if self.is_planar else gtsam.PriorFactorPose3
+        model = gtsam.noiseModel.Diagonal.Variances
+        graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
         for k in np.flatnonzero(active).tolist():
             i, j = self.ties.pairs[k].tolist()
-            graph.push_back(B(i, j, self.ties.measured[k], gtsam.noiseModel.Diagonal.Variances(self.ties.variances[k])))
-        anchor = gtsam.noiseModel.Diagonal.Variances(self.variances(ANCHOR, ANCHOR))
+            graph.push_back(between(i, j, self.ties.measured[k], model(self.ties.variances[k])))
         for i in np.unique(component, return_index=True)[1].tolist():
-            graph.push_back(P(i, start[i], anchor))
+            graph.push_back(prior(i, start[i], model(self.variances(ANCHOR, ANCHOR))))
         for i, pose in enumerate(start):
             values.insert(i, pose)
-        pa = gtsam.LevenbergMarquardtParams(); pa.setMaxIterations(MAX_ITERATIONS); pa.setRelativeErrorTol(1e-3)
-        found = gtsam.LevenbergMarquardtOptimizer(graph, values, pa).optimize()
+        found = optimised(
+            graph, values, held=gtsam.NonlinearFactorGraph(), max_iterations=MAX_ITERATIONS, tolerance=1e-3
+        )
         at = found.atPose2 if self.is_planar else found.atPose3
         return [at(i) for i in range(len(start))]
+
+    def _residuals(self, poses: Sequence[Any], steps: Array) -> Array:
+        """Error of every tie after a last, linear step: e + δ_j − A δ_i."""
+        i, j = self.ties.pairs.T
+        carried = _adjoints(poses, self.ties.pairs) @ steps[i][:, :, None]
+        return np.asarray(_errors(poses, self.ties) + steps[j] - carried[:, :, 0])
 
     def _anchors(self, component: NDArray[np.int32]) -> Array:
         """Diagonal blocks of what holds keyframes in the world: the first one of every component, and `held` ones."""
@@ -273,7 +241,7 @@ class Settled:
         return between[needed]
 
     def left_out(self) -> tuple[Array, Array]:
-        """By how much every tie misses what all the others predict, (m, d), and that prediction's covariance, (m, d, d).
+        """By how much every tie misses what all the others predict, (m, d), and the covariance of that, (m, d, d).
 
         A tie that pulls at nothing misses by its residual. Where no other tie leads, the covariance is NaN.
         """
@@ -283,7 +251,9 @@ class Settled:
         scaled = np.nan_to_num(spread / (roots[:, :, None] * roots[:, None, :]), nan=0.0)
         rest, axes = np.linalg.eigh(np.eye(roots.shape[1]) - scaled)
         gain = 1 / np.clip(rest, LEAST_REST, 1.0)  # S⁻¹ in units of R, along the axes
-        missed = roots * (axes @ (gain[:, :, None] * (axes.swapaxes(1, 2) @ (self.residuals / roots)[:, :, None])))[:, :, 0]
+        missed = (
+            roots * (axes @ (gain[:, :, None] * (axes.swapaxes(1, 2) @ (self.residuals / roots)[:, :, None])))[:, :, 0]
+        )
         others = roots[:, :, None] * (axes * (gain - 1)[:, None, :] @ axes.swapaxes(1, 2)) * roots[:, None, :]
         others[self._alone()] = np.nan
         return (
@@ -311,45 +281,8 @@ def drift_model(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, pose_gr
     unit, keyframes = free_space_unit(pose_graph), read_keyframes(values)
     poses = _alike([_pose(keyframes, int(key)) for key in pose_graph.keys])
     return DriftModel(
-        unit_m=unit, poses=poses, ties=_ties(graph, pose_graph, poses, unit), held=_held(graph, keyframes.index)
+        unit_m=unit, poses=poses, ties=ties_of(graph, pose_graph, poses, unit), held=_held(graph, keyframes.index)
     )
-
-
-def _ties(
-    graph: gtsam.NonlinearFactorGraph, pose_graph: PoseGraph, poses: Sequence[Any], unit: float
-) -> Ties:
-    """Odometry, closures and what two keyframes both see, of the edges in their order."""
-    planar = isinstance(poses[0], gtsam.Pose2)
-    keys = pose_graph.keys.tolist()
-    rows: list[tuple[tuple[int, int], Any, Array, int]] = []
-    known = zip(pose_graph.edges.tolist(), pose_graph.edge_sources.tolist(), pose_graph.edge_slots, strict=True)
-    for (i, j), source, slots in known:
-        if not source & (EdgeSource.BETWEEN | EdgeSource.COVISIBILITY):
-            continue
-        found = [(z, slot) for slot in slots if (z := _measured(graph.at(slot), keys[i], planar)) is not None]
-        if source & EdgeSource.ODOMETRY:
-            step = found[0][0] if found else poses[i].between(poses[j])
-            drift = DRIFT * float(np.sqrt(max(_length(step) / unit, _angle(step), SHORTEST)))
-            rows.append(((i, j), step, _variances(drift * unit, drift, is_planar=planar), -1))
-            continue
-        tolerance = _variances(OFFSET * unit, OFFSET_RAD, is_planar=planar)
-        for z, slot in found or [(poses[i].between(poses[j]), -1)]:
-            rows.append(((i, j), z, tolerance, slot))
-    return Ties(
-        pairs=np.array([row[0] for row in rows], dtype=np.int64).reshape(-1, 2),
-        measured=tuple(row[1] for row in rows),
-        variances=np.array([row[2] for row in rows]).reshape(-1, 3 if planar else 6),
-        slots=np.array([row[3] for row in rows], dtype=np.int64),
-    )
-
-
-def _measured(factor: Any, first: int, planar: bool) -> Any | None:
-    """Relative pose that a factor measures from its key `first` to the other; None where it measures no whole pose."""
-    if not isinstance(factor, gtsam.BetweenFactorPose2 | gtsam.BetweenFactorPose3):
-        return None
-    z = factor.measured()
-    z = z if planar or isinstance(z, gtsam.Pose3) else gtsam.Pose3(z)
-    return z if factor.keys()[0] == first else z.inverse()
 
 
 def _held(graph: gtsam.NonlinearFactorGraph, index: dict[int, int]) -> NDArray[np.bool_]:
@@ -377,20 +310,6 @@ def _alike(poses: Iterable[Any]) -> tuple[Any, ...]:
     if all(isinstance(pose, gtsam.Pose2) for pose in found):
         return tuple(found)
     return tuple(gtsam.Pose3(pose) if isinstance(pose, gtsam.Pose2) else pose for pose in found)
-
-
-def _variances(length_m: float, angle: float, *, is_planar: bool) -> Array:
-    squares = np.square([length_m, length_m, angle] if is_planar else [angle] * 3 + [length_m] * 3)
-    return np.asarray(squares, dtype=float)
-
-
-def _length(step: Any) -> float:
-    return float(np.linalg.norm(step.translation()))
-
-
-def _angle(step: Any) -> float:
-    """Angle that a relative pose turns by, rad."""
-    return abs(step.theta()) if isinstance(step, gtsam.Pose2) else float(np.linalg.norm(gtsam.Rot3.Logmap(step.rotation())))
 
 
 def _adjoints(poses: Sequence[Any], pairs: NDArray[np.int64]) -> Array:

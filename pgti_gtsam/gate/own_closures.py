@@ -17,11 +17,12 @@ from numpy.typing import NDArray
 from scipy.special import expit
 from scipy.stats import chi2
 
-from pgti_gtsam.gate.drift_model import OFFSET, OFFSET_RAD, DriftModel, Settled
+from pgti_gtsam.gate.drift_model import DriftModel, Settled
+from pgti_gtsam.gate.ties import OFFSET, OFFSET_RAD
 
 NEAR, NEAR_RAD = 0.5, 0.25
-"""Standard deviation of a match of places, in ρ and in rad. It misses by less than the free space, and ties what belongs
-together: on KITTI 06 every loop that the detector reports measures the identity, and true ones are up to 1 ρ off."""
+"""Standard deviation of a match of places, in ρ and in rad. It misses by less than the free space, and ties what
+belongs together: all loops that the detector reports on KITTI 06 measure the identity, true ones are up to 1 ρ off."""
 
 NEAR_SHARE = 0.1
 """Of true closures, those that match places."""
@@ -96,9 +97,9 @@ def own_closures(model: DriftModel) -> OwnClosures:
     """
     closures, active = model.ties.closures, np.ones(len(model.ties.pairs), dtype=bool)
     returned = np.zeros(len(closures), dtype=bool)
-    settled = None
+    settled = model.settled(active)
     for n_rounds in range(MAX_ROUNDS):
-        settled = model.settled(active, start=settled)
+        settled = model.settled(active, start=settled) if n_rounds else settled
         missed, others = settled.left_out()
         held = closures[active[closures]]
         poorer = _poorer(model, missed[held], others[held])
@@ -151,7 +152,8 @@ def log_odds(model: DriftModel, missed: Array, others: Array) -> Array:
     """
     exact, near = (np.diag(model.variances(*sigmas)) for sigmas in ((OFFSET, OFFSET_RAD), (NEAR, NEAR_RAD)))
     is_true = np.logaddexp(
-        np.log(1 - NEAR_SHARE) + log_normal(missed, others + exact), np.log(NEAR_SHARE) + log_normal(missed, others + near)
+        np.log(1 - NEAR_SHARE) + log_normal(missed, others + exact),
+        np.log(NEAR_SHARE) + log_normal(missed, others + near),
     )
     return np.asarray(PRIOR + is_true - log_normal(missed, others + near + model.spread))
 

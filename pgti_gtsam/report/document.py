@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import base64
 import json
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from importlib.metadata import version
@@ -18,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pgti_gtsam.diagnosis.records import ClosureFinding, Diagnosis, Place, Proposal
+from pgti_gtsam.diagnosis.sweep import Swept, fragile
 from pgti_gtsam.integrity import BetaSplit, Distortion, Integrity
 from pgti_gtsam.optimality import GraphOptimality
 from pgti_gtsam.pose_graph import key_label
@@ -88,6 +90,23 @@ def audit_document(
         },
         "times": integrity.times.tolist(),
         "signatures": _signatures(integrity),
+    }
+
+
+def sweep_rows(swept: Sequence[Swept]) -> Document:
+    """Verdict and places at every factor of the radii, and whether the verdict hangs on it."""
+    return {
+        "fragile": fragile({each.factor: each.diagnosis.verdict for each in swept}),
+        "rows": [
+            {
+                "factor": each.factor,
+                "median_radius_m": each.diagnosis.unit_m,
+                "verdict": each.diagnosis.verdict,
+                "places": dict(Counter(place.kind for place in each.diagnosis.places)),
+                "score": _number(each.diagnosis.integrity.score),
+            }
+            for each in swept
+        ],
     }
 
 

@@ -23,7 +23,7 @@ from pgti_gtsam.errors import InvalidValueError
 SCHEMA, SCHEMA_VERSION = "pgti-gtsam/audit", 2
 
 # One module scope, in reading order: later files use what earlier ones define.
-_SCRIPTS = ("text.js", "model.js", "camera.js", "map.js", "charts.js", "tables.js", "main.js")
+_SCRIPTS = ("text.js", "model.js", "camera.js", "map.js", "marks.js", "charts.js", "tables.js", "main.js")
 
 # Inside <script> only "<" could end the block; the others keep the data inert wherever it is pasted.
 _ESCAPES = {ord(c): f"\\u{ord(c):04x}" for c in "<>&\u2028\u2029"}
@@ -60,7 +60,8 @@ def page(document: Mapping[str, Any]) -> str:
     Returns
     -------
     str
-        HTML that makes no network request. `#keyframe=17` after its address opens it at the keyframe of index 17.
+        HTML that makes no network request. It opens at the first place, or else at the keyframe with the largest ζ;
+        `#place=2` after its address at the place of rank 2, `#keyframe=17` at the keyframe of index 17.
 
     Raises
     ------

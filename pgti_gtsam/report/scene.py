@@ -70,7 +70,7 @@ def show(document: Mapping[str, Any]) -> None:
     Parameters
     ----------
     document : Mapping
-        The JSON document of an audit, schema version 1.
+        The JSON document of an audit, schema version 2.
 
     Raises
     ------
@@ -106,13 +106,13 @@ def render_png(document: Mapping[str, Any], path: Path | str, width: int = 1600,
     """Draw the audited map into a PNG file, without a display.
 
     Keyframes are coloured by ζ as on the page (an infinite ζ as the largest finite one), edges of the pose graph are
-    blue, inserted edges are red tubes, and the minimum spheres of the worst places are translucent. A planar map is
+    blue, collisions are red tubes, and the minimum spheres of the worst places are translucent. A planar map is
     seen from above, any other slanted.
 
     Parameters
     ----------
     document : Mapping
-        The JSON document of an audit, schema version 1.
+        The JSON document of an audit, schema version 2.
     path : Path or str
         The picture; it is overwritten.
     width, height : int
@@ -181,7 +181,7 @@ def _read(document: Mapping[str, Any]) -> _Map:
         radii=radii,
         scores=np.array([math.inf if score == "infinite" else score for score in keyframes["score"]]),
         edges=_long_enough(edges["pose_graph"], positions),
-        inserted=_long_enough(edges["inserted"], positions),
+        inserted=_long_enough(edges["collisions"], positions),
         worst=np.unique([i for i in worst if radii[i] > 0]).astype(np.int64),
     )
 
@@ -214,7 +214,7 @@ def _solids(open3d: Any, drawn: _Map, pixel: int = 1) -> Iterator[tuple[str, Any
         yield "pose graph", lines, _material(open3d, "unlitLine", width=1.5 * pixel)
     if len(drawn.inserted):
         radius = max(0.55 * dot, 0.0016 * drawn.size)
-        yield "missing connections", _tubes(open3d, drawn.positions[drawn.inserted], radius, _RED), plain
+        yield "collisions", _tubes(open3d, drawn.positions[drawn.inserted], radius, _RED), plain
     level = _levels(drawn.scores)
     yield "keyframes", _balls(open3d, drawn.positions, dot * (1 + level), _colors(level)), plain
 

@@ -15,30 +15,47 @@ WITNESSES = (
     "Three witnesses, each in parts of its limit: how far the map bends for the closure, how much farther closures "
     "miss with it, and how much more places touch that nothing connects."
 )
-_COLOURS = {"consistent": "green", "harmless": "green", "suspicious": "yellow", "broken": "red"}
+_COLOURS = {"consistent": "green", "incomplete": "cyan", "undecided": "yellow", "inconsistent": "red"}
+_KIND_COLOURS = {
+    "likely false closure": "red",
+    "collision by drift": "red",
+    "undecided contact": "yellow",
+    "missed closure": "cyan",
+    "untied second pass": "cyan",
+    "tracking gap": "cyan",
+    "incomplete fusion": "dim",
+}
 
 
 def print_summary(document: Mapping[str, Any], console: Console) -> None:
-    """Print what was read, the verdict, the scores and the worst places.
+    """Print the verdict, what to look at and what to do, then what was read and the scores.
 
     Text that comes from a file is printed as it is: never read as markup.
     """
     console.print(
         Group(
             _heading(document),
-            _section("Read", _read(document)),
+            *([_section("Where, and what to do", _places(document))] if document["places"] else []),
+            *([_section("Closures, least probable first", _own_closures(document))] if document["closures"] else []),
             _section("Scores", _scores(document)),
-            *([_section("Places, worst first", _places(document))] if document["places"] else []),
+            _section("Read", _read(document)),
         )
     )
 
 
 def _heading(document: Mapping[str, Any]) -> RenderableType:
-    judged = document["summary"]["verdict"]
+    judged, estimate = document["verdict"], document["estimate"]
     title = Text.assemble(
         (document["input"]["name"], "bold"), ": ", (judged["level"], f"bold {_COLOURS[judged['level']]}")
     )
-    return Group(title, Text(judged["text"]))
+    if estimate["is_optimum"]:
+        return Group(title, Text(judged["text"]))
+    label = document["keyframes"]["label"][estimate["keyframe"]]
+    stale = (
+        f"The estimate is no optimum of its graph (error {estimate['error']:.4g}): one step moves keyframe {label} by "
+        f"{estimate['step_m']:.3g} m. All that follows is of the map as it is stored; --optimise audits the optimum."
+    )
+    return Group(Text(stale, style="yellow"), title, Text(judged["text"]))
 
 
 def _section(title: str, body: RenderableType) -> RenderableType:
@@ -106,13 +123,15 @@ def _scores(document: Mapping[str, Any]) -> RenderableType:
     summary, table = document["summary"], Table.grid(padding=(0, 2))
     split = summary["split"]
     worst = document["keyframes"]["label"][summary["worst"]]
+    fused, collided = summary["n_fusion_edges"], summary["n_collision_edges"]
     rows = [
         ("Λ", summary["score"], f"largest change in how errors spread, at keyframe {worst}"),
         ("Λ_loc", split["local"], f"there, over the first {split['beta']:.0%} of the time scales: its neighbourhood"),
         ("Λ_glob", split["global"], "there, over the rest: the whole map"),
+        ("Λ of fusion", summary["fusion"]["score"], f"by {fused} overlaps that follow from ties: harmless"),
+        ("Λ of collisions", summary["collisions"]["score"], f"by {collided} overlaps that nothing explains"),
         ("Z̄", summary["mean_score"], "mean over the keyframes"),
         ("stable score", summary["stable_score"], "largest local change; does not shrink as the map grows"),
-        ("missing edges", summary["n_inserted_edges"], "pairs that free space connects and the pose graph does not"),
     ]
     for name, value, meaning in rows:
         table.add_row(Text(name, style="dim"), Text(_number(value), justify="right"), Text(meaning))
@@ -124,37 +143,47 @@ def _number(value: float | int | str) -> str:
 
 
 def _places(document: Mapping[str, Any]) -> RenderableType:
-    table = Table(box=None, pad_edge=False, header_style="dim")
-    for name in ("#", "stable", "ζ", "missing", "keyframe"):
-        table.add_column(name, justify="right")
-    table.add_column("position (m)")
-    table.add_column("keyframes in contact")
-    labels, places = document["keyframes"]["label"], document["places"]
+    table = Table(box=None, pad_edge=False, header_style="dim", padding=(0, 2, 0, 0))
+    table.add_column("#", justify="right")
+    table.add_column("kind", no_wrap=True)
+    table.add_column("why, and what to do")
+    places = document["places"]
     for place in places[:MAX_PLACES]:
-        table.add_row(
-            str(place["rank"]),
-            _number(place["stable_score"]),
-            _number(place["score"]),
-            str(place["n_inserted_edges"]),
-            Text(place["label"]),
-            ", ".join(f"{x:.1f}" for x in place["position"]),
-            Text(_ranges(place["keyframes"], labels)),
-        )
+        said = Text.assemble(place["sentence"], "\n", (place["remedy"], "bold"))
+        table.add_row(str(place["rank"]), Text(place["kind"], style=_KIND_COLOURS[place["kind"]]), said)
     hidden = len(places) - MAX_PLACES
-    more = [Text(f"and {hidden} more, in the JSON and on the page (--json, --html)", style="dim")] if hidden > 0 else []
-    return Group(table, *more)
+    more = [f"and {hidden} more, in the JSON and on the page (--json, --html)"] if hidden > 0 else []
+    more.append("drift: how far the two may lie apart, given all ties; spheres: what their radii reach together")
+    return Group(table, *(Text(line, style="dim") for line in more))
 
 
-def _ranges(indices: list[int], labels: list[str], most: int = 6) -> str:
-    """Runs of consecutive keyframes as `x3–x9`."""
-    runs: list[list[int]] = []
-    for i in indices:
-        if runs and i == runs[-1][-1] + 1:
-            runs[-1].append(i)
-        else:
-            runs.append([i])
-    words = [labels[run[0]] if len(run) == 1 else f"{labels[run[0]]}–{labels[run[-1]]}" for run in runs]
-    return ", ".join(words[:most]) + (f" and {len(words) - most} more" if len(words) > most else "")
+def print_sweep(document: Mapping[str, Any], console: Console) -> None:
+    """Print what the audit says with smaller and larger spheres."""
+    swept, table = document["radius_sweep"], Table(box=None, pad_edge=False, header_style="dim", padding=(0, 2, 0, 0))
+    for name in ("radii times", "median (m)", "Λ"):
+        table.add_column(name, justify="right")
+    table.add_column("verdict")
+    table.add_column("places")
+    for row in swept["rows"]:
+        places = ", ".join(f"{count} {kind}" for kind, count in row["places"].items()) or "none"
+        verdict = Text(row["verdict"], style=_COLOURS[row["verdict"]])
+        table.add_row(f"{row['factor']:g}", _number(row["median_radius_m"]), _number(row["score"]), verdict, places)
+    held = "The verdict changes between half and twice the radii: it is fragile, measure the radii."
+    held = held if swept["fragile"] else "The verdict holds from half to twice the radii."
+    console.print(_section("Does the verdict hang on the radius?", Group(table, Text(held))))
+
+
+def _own_closures(document: Mapping[str, Any]) -> RenderableType:
+    table, labels, closures = Table.grid(padding=(0, 2)), document["keyframes"]["label"], document["closures"]
+    false = [closure for closure in closures if closure["is_false"]]
+    shown = closures[: max(min(len(false), MAX_CLOSURES), 1)]
+    for closure in shown:
+        i, j = closure["keyframes"]
+        probability = "?" if closure["probability"] is None else f"{100 * closure['probability']:.3g} %"
+        style = "red" if closure["is_false"] else "green"
+        table.add_row(Text(f"{labels[i]} – {labels[j]}", style=style), probability, Text(closure["sentence"]))
+    rest = len(closures) - len(shown)
+    return Group(table, *([Text(f"and {rest} more that are more probable", style="dim")] if rest else []))
 
 
 def print_heading(name: str, what: str, notes: Sequence[str], console: Console) -> None:

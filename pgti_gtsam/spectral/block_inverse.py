@@ -59,7 +59,8 @@ def factorise(tree: EliminationTree, diagonal: FloatArray, pairs: IntArray, bloc
     d, fronts = diagonal.shape[1], tree.fronts.tolist()
     entries = _Entries.of(tree, pairs)
     pending: dict[int, FloatArray] = {}
-    inverses, couplings = [], []
+    inverses: list[FloatArray] = []
+    couplings: list[FloatArray] = []
     for k, (w, m, parent, into) in enumerate(tree.visits()):
         # what is left of the matrix at the pivots and rows of this supernode
         front = pending.pop(k, None)
@@ -72,7 +73,7 @@ def factorise(tree: EliminationTree, diagonal: FloatArray, pairs: IntArray, bloc
 
         # eliminate the pivots, and hand the rest to the parent
         flat, cut = _flat(front), w * d
-        inverse = np.linalg.inv(flat[:cut, :cut])
+        inverse = np.asarray(np.linalg.inv(flat[:cut, :cut]), dtype=np.float64)
         coupling = inverse @ flat[:cut, cut:]
         if parent >= 0:
             above = pending.setdefault(parent, np.zeros((fronts[parent], fronts[parent], d, d)))
@@ -89,7 +90,7 @@ def inverse_blocks(factor: BlockFactor, pairs: IntArray) -> FloatArray:
     found = np.empty((len(pairs), d, d))
     pending: dict[int, FloatArray] = {}
     children = tree.children()
-    for k, (w, m, _, _) in reversed(list(enumerate(tree.visits()))):
+    for k in range(tree.n_supernodes - 1, -1, -1):
         # the inverse on the rows, which the parent knows, gives the inverse on the pivots
         inverse, coupling = factor.inverses[k], factor.couplings[k]
         rest = pending.pop(k, np.empty((0, 0)))

@@ -1,7 +1,7 @@
 // Where the map is looked at from. plotly measures eyes in units of the plotted box, `frame.scale` metres long at most.
 
 const fieldOfView = Math.PI / 4; // of plotly's perspective camera, vertically
-const closest = 0.05; // of the box: nearer than this, plotly's clipping plane cuts the map
+const nearest = 0.05; // of the box: nearer than this, plotly's clipping plane cuts the map
 const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
 const unit = (a) => a.map((v) => v / Math.hypot(...a));
@@ -50,7 +50,7 @@ function cameraOn(positions, aspect) {
   let distance = 0;
   for (let round = 0; round < 8; round++) { // what is near looks larger: the middle of the picture follows the distance
     const needed = (p) => p[2] - z + Math.max(Math.abs(p[1] - y), Math.abs(p[0] - x) / aspect) / slope;
-    distance = points.reduce((most, p) => Math.max(most, needed(p)), closest);
+    distance = points.reduce((most, p) => Math.max(most, needed(p)), nearest);
     x += distance * middleOf(points.map((p) => (p[0] - x) / (distance - (p[2] - z))));
     y += distance * middleOf(points.map((p) => (p[1] - y) / (distance - (p[2] - z))));
   }
@@ -59,6 +59,9 @@ function cameraOn(positions, aspect) {
 }
 
 const middleOf = (values) => (values.reduce((a, b) => Math.min(a, b)) + values.reduce((a, b) => Math.max(a, b))) / 2;
+
+/** The distance from the eye to what it looks at. */
+const eyeDistance = ({ eye, center }) => Math.hypot(eye.x - center.x, eye.y - center.y, eye.z - center.z);
 
 /** Corners of the cube around a position, to look at a neighbourhood. */
 function around(position, reach) {

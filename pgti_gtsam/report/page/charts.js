@@ -11,7 +11,9 @@ const mapConfig = {
 /** The page's colours, as the style sheet sets them for light or dark. */
 function theme() {
   const style = getComputedStyle(document.documentElement);
-  const names = ["ink", "muted", "grid", "panel", "blue", "red", "shade", "wash", "ball", "outline", "accent"];
+  const names = [
+    "ink", "muted", "grid", "panel", "blue", "red", "shade", "wash", "ball", "outline", "accent", "link", "fusion", "dull",
+  ];
   return Object.fromEntries(names.map((name) => [name, style.getPropertyValue(`--${name}`).trim()]));
 }
 
@@ -62,7 +64,7 @@ function drawSignature(keyframe) {
   const local = distortion(signature, 0, split);
   const global = distortion(signature, split, times.length);
   byId("signature-hint").textContent =
-    `Shaded: what the missing connections change. Split at β = ${beta}: ` +
+    `Shaded: what the overlaps change. Split at β = ${beta}: ` +
     `local ζ ${short(local)}, global ζ ${short(global)}.`;
   const colors = theme();
   const curve = (y, name, color, dash, fill) => ({
@@ -87,43 +89,60 @@ function drawSignature(keyframe) {
 }
 
 /** ζ and stable score by keyframe: two charts, one abscissa. Infinite scores stand as triangles at the top. */
-function drawTrajectory(keyframe, logarithmic) {
+function drawTrajectory() {
   const colors = theme();
+  const { logarithmic } = state;
   const index = Array.from(keyframes.label.keys());
   const words = (values, name) => (i) => `<b>${plotText(keyframes.label[i])}</b><br>${name} ${short(values[i])}`;
-  const curve = (values, name, yaxis) => ({
+  const curve = (values, name, yaxis, color, fill) => ({
     x: index, y: Array.from(values, (v) => (v < Infinity && !(logarithmic && v === 0) ? v : null)), name, yaxis,
-    mode: keyframes.n <= 2 ? "markers" : "lines", line: { color: colors.accent, width: 1.6 },
-    marker: { color: colors.accent }, fill: logarithmic ? "none" : "tozeroy", fillcolor: colors.wash,
-    text: index.map(words(values, name)), hoverinfo: "text",
+    mode: keyframes.n <= 2 ? "markers" : "lines", line: { color, width: 1.6 }, marker: { color },
+    fill: logarithmic ? "none" : fill, fillcolor: colors.wash, text: index.map(words(values, name)), hoverinfo: "text",
   });
   const peaks = (values, name, yaxis) => {
     const at = index.filter((i) => values[i] === Infinity);
-    const top = values.reduce((most, v) => (v < Infinity && v > most ? v : most), 0) || 1;
     return {
-      x: at, y: at.map(() => top), mode: "markers", name, yaxis, text: at.map(words(values, name)), hoverinfo: "text",
-      marker: { symbol: "triangle-up", size: 9, color: colors.red },
+      x: at, y: at.map(() => topOf(values)), mode: "markers", name, yaxis, text: at.map(words(values, name)),
+      hoverinfo: "text", marker: { symbol: "triangle-up", size: 9, color: colors.red }, showlegend: false,
     };
   };
-  const chosen = (values, yaxis) => ({
-    x: [keyframe], y: [values[keyframe] < Infinity ? values[keyframe] : null], yaxis, mode: "markers", hoverinfo: "skip",
-    marker: { size: 9, color: colors.panel, line: { color: colors.ink, width: 2 } },
-  });
   const scale = { type: logarithmic ? "log" : "linear", rangemode: "tozero", nticks: 5 };
   const range = [-0.01 * keyframes.n - 0.5, 1.01 * keyframes.n - 0.5];
   const layout = {
-    ...plainLayout(), shapes: [upright(keyframe)],
+    ...plainLayout(), shapes: trajectoryMarks(), showlegend: true, legend: topLegend,
+    margin: { l: 58, r: 12, t: 26, b: 44 },
     xaxis: flatAxis("keyframe index", { anchor: "y2", range, tickformat: ",d" }),
     yaxis: flatAxis("ζ", { domain: [0.55, 1], ...scale }),
     yaxis2: flatAxis("stable score", { domain: [0, 0.45], ...scale }),
   };
   const traces = [
-    curve(keyframes.score, "ζ", "y"), curve(keyframes.stable, "stable score", "y2"),
-    peaks(keyframes.score, "ζ", "y"), peaks(keyframes.stable, "stable score", "y2"),
-    chosen(keyframes.score, "y"), chosen(keyframes.stable, "y2"),
+    curve(keyframes.score, "ζ", "y", colors.accent, "tozeroy"),
+    curve(keyframes.collision, "ζ of collisions", "y", colors.red, "none"),
+    { ...curve(keyframes.stable, "stable score", "y2", colors.accent, "tozeroy"), showlegend: false },
+    peaks(keyframes.score, "ζ", "y"), peaks(keyframes.collision, "ζ of collisions", "y"),
+    peaks(keyframes.stable, "stable score", "y2"),
   ];
   return Plotly.react("trajectory", traces, layout, plotConfig);
 }
+
+/** The chosen keyframe and the stretches of the chosen place, as shapes: these change without the curves. */
+function trajectoryMarks() {
+  const colors = theme();
+  const dot = (value, yref) => ({
+    type: "circle", xsizemode: "pixel", ysizemode: "pixel", xanchor: state.keyframe, yanchor: value, yref,
+    x0: -4.5, x1: 4.5, y0: -4.5, y1: 4.5, fillcolor: colors.panel, line: { color: colors.ink, width: 2 },
+  });
+  const dots = [[keyframes.score, "y"], [keyframes.stable, "y2"]]
+    .map(([values, yref]) => [values[state.keyframe], yref])
+    .filter(([value]) => value < Infinity && !(state.logarithmic && value === 0));
+  const bands = (state.place === null ? [] : places[state.place].stretches).map(([first, last]) => ({
+    type: "rect", x0: first - 0.5, x1: last + 0.5, yref: "paper", y0: 0, y1: 1, layer: "below", opacity: 0.35,
+    fillcolor: placeColour(state.place), line: { color: placeColour(state.place), width: 1 },
+  }));
+  return [...bands, upright(state.keyframe), ...dots.map(([value, yref]) => dot(value, yref))];
+}
+
+const markTrajectory = () => Plotly.relayout("trajectory", { shapes: trajectoryMarks() });
 
 /** Λ_loc and Λ_glob against β; infinite values are left out. */
 function drawSweep() {

@@ -10,36 +10,57 @@ window.addEventListener("unhandledrejection", (event) => report(event.reason));
 document.addEventListener("securitypolicyviolation", (event) =>
   report(`blocked: ${event.violatedDirective} ${event.blockedURI}`));
 
-const state = { keyframe: worst, logarithmic: false };
+const state = { keyframe: worst, place: null, closure: null, colour: "score", logarithmic: false };
 const hasWebGL = Boolean(document.createElement("canvas").getContext("webgl"));
 
+// Choices. A keyframe leaves its place chosen, another keyframe does not.
+const atKeyframe = (keyframe) => ({
+  keyframe, closure: null, place: state.place !== null && inPlace(keyframe, state.place) ? state.place : null,
+});
+const atPlace = (place) => ({ keyframe: places[place].closest[1], place, closure: null });
+const atClosure = (closure) => ({ keyframe: closures[closure].keyframes[1], place: null, closure });
+
 /** The user's choice: shown in every view and kept in the address. */
-function choose(keyframe, options) {
-  history.replaceState(null, "", `#keyframe=${keyframe}`);
-  return show(keyframe, options);
+function choose(choice, options) {
+  const name = choice.place === null || choice.keyframe !== places[choice.place].closest[1]
+    ? `keyframe=${choice.keyframe}` : `place=${places[choice.place].rank}`;
+  history.replaceState(null, "", `#${name}`);
+  return show(choice, options);
 }
 
-/** Show a keyframe in every view; `zoom` also moves the camera there. */
-async function show(keyframe, { zoom = false } = {}) {
-  state.keyframe = keyframe;
-  fillKeyframe(keyframe);
-  markPlace(keyframe);
+/** Show a choice in every view; `zoom` also moves the camera there. */
+async function show(choice, { zoom = false } = {}) {
+  Object.assign(state, choice);
+  fillChoice();
+  if (hasWebGL) drawMarks();
+  await Promise.all([drawSignature(state.keyframe), markTrajectory()]);
+  if (hasWebGL && zoom) await look(chosenView());
+}
+
+/** All words that depend on the choice. */
+function fillChoice() {
+  fillKeyframe(state.keyframe);
+  describePlace(state.place);
+  describeClosure(state.closure);
+  markRow("places-table", state.place);
+  markRow("closures-table", state.closure);
   byId("find-error").textContent = "";
-  await Promise.all([drawSignature(keyframe), drawTrajectory(keyframe, state.logarithmic)]);
-  if (!hasWebGL) return;
-  await markOnMap(keyframe);
-  if (zoom) await zoomTo(keyframe);
 }
 
-/** The keyframe index that the address asks for (#keyframe=17), or null. */
-function linkedKeyframe() {
-  const match = /^#keyframe=(\d+)$/.exec(location.hash);
-  return match && Number(match[1]) < keyframes.n ? Number(match[1]) : null;
+/** What the address asks for (#keyframe=17, an index; #place=2, a rank), or null. */
+function linkedChoice() {
+  const [, name, number] = /^#(keyframe|place)=(\d+)$/.exec(location.hash) ?? [];
+  if (name === "keyframe") return Number(number) < keyframes.n ? atKeyframe(Number(number)) : null;
+  const place = places.findIndex((p) => p.rank === Number(number));
+  return place < 0 ? null : atPlace(place);
 }
 
 async function drawAll() {
-  await Promise.all([drawSweep(), ...(hasWebGL ? [drawMap()] : [])]);
-  await show(state.keyframe);
+  fillChoice();
+  await Promise.all([
+    drawSweep(), drawSignature(state.keyframe), drawTrajectory(), ...(hasWebGL ? [drawMap()] : []),
+  ]);
+  if (hasWebGL) drawMarks();
 }
 
 /**
@@ -49,29 +70,29 @@ async function drawAll() {
 function onPlotClick(id, keyframeOf) {
   byId(id).on("plotly_click", ({ points }) => {
     const keyframe = keyframeOf(points[0]);
-    if (keyframe !== state.keyframe) setTimeout(choose, 0, keyframe);
+    if (keyframe !== state.keyframe) setTimeout(() => choose(atKeyframe(keyframe)));
   });
 }
 
 function listen() {
-  const step = (by) => choose((state.keyframe + by + keyframes.n) % keyframes.n);
+  const step = (by) => choose(atKeyframe((state.keyframe + by + keyframes.n) % keyframes.n));
   byId("previous").addEventListener("click", () => step(-1));
   byId("next").addEventListener("click", () => step(1));
   byId("find").addEventListener("submit", (event) => {
     event.preventDefault();
     const text = byId("find-text").value.trim();
     const found = findKeyframe(text);
-    if (found !== null) choose(found, { zoom: true });
+    if (found !== null) choose(atKeyframe(found), { zoom: true });
     else byId("find-error").textContent = `No keyframe is called ${text}; indices run from 0 to ${keyframes.n - 1}.`;
   });
   for (const id of ["scale-linear", "scale-log"]) {
     byId(id).addEventListener("change", () => {
       state.logarithmic = byId("scale-log").checked;
-      drawTrajectory(state.keyframe, state.logarithmic);
+      drawTrajectory();
     });
   }
   onPlotClick("trajectory", (point) => point.x);
-  window.addEventListener("hashchange", () => linkedKeyframe() !== null && show(linkedKeyframe(), { zoom: true }));
+  window.addEventListener("hashchange", () => linkedChoice() !== null && show(linkedChoice(), { zoom: true }));
   window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", drawAll);
   if (hasWebGL) listenToMap();
 }
@@ -82,14 +103,28 @@ function listenToMap() {
   for (const [layer, id] of Object.entries(layerSwitches)) {
     byId(id).addEventListener("change", (event) => setLayer(layer, event.target.checked));
   }
-  byId("view-whole").addEventListener("click", seeWholeMap);
-  byId("view-selected").addEventListener("click", () => zoomTo(state.keyframe));
+  byId("show-spheres").addEventListener("change", drawMarks);
+  byId("colour-by").addEventListener("change", (event) => {
+    state.colour = event.target.value;
+    describeMap();
+    drawMap();
+  });
+  byId("view-whole").addEventListener("click", () => look(wholeView()));
+  byId("view-selected").addEventListener("click", () => look(chosenView()));
+  followCamera();
+}
+
+/** A choice from a table, with the map brought into view. */
+function chooseFromTable(choice) {
+  byId("map").scrollIntoView({ block: "nearest" });
+  return choose(choice, { zoom: true });
 }
 
 fillHeader();
 fillTiles();
 fillWarnings();
-fillPlaces((keyframe) => choose(keyframe, { zoom: true }));
+fillPlaces((place) => chooseFromTable(atPlace(place)));
+fillClosures((closure) => chooseFromTable(atClosure(closure)));
 fillInput();
 fillOptions();
 fillOptimality();
@@ -99,9 +134,7 @@ if (!hasWebGL) {
   report("no WebGL");
 }
 
-const linked = linkedKeyframe();
-state.keyframe = linked ?? worst;
+Object.assign(state, linkedChoice() ?? (places.length ? atPlace(0) : atKeyframe(worst)));
 await drawAll();
 listen();
-if (linked !== null && hasWebGL) await zoomTo(linked);
 document.body.dataset.ready = "true";

@@ -1,12 +1,14 @@
 // Everything that is words and numbers.
 
+const mostClosures = 200; // rows of their table
+
 function fillHeader() {
-  const { input, summary, pgti_gtsam_version: version } = audit;
+  const { input, verdict, pgti_gtsam_version: version } = audit;
   byId("name").textContent = input.name;
   byId("origin").textContent = `${input.format} · pgti-gtsam ${version}`;
-  byId("verdict").dataset.level = summary.verdict.level;
-  byId("verdict-level").textContent = summary.verdict.level;
-  byId("verdict-text").textContent = summary.verdict.text;
+  byId("verdict").dataset.level = verdict.level;
+  byId("verdict-level").textContent = verdict.level;
+  byId("verdict-text").textContent = verdict.text;
   byId("footer").textContent =
     `Drawn from an audit of pgti-gtsam ${version}, document version ${audit.schema_version}. ` +
     "This page holds all its data and loads nothing.";
@@ -15,18 +17,19 @@ function fillHeader() {
 function fillTiles() {
   const s = audit.summary;
   const parts = s.n_components_pose_graph;
-  const overlaps = plural(s.n_free_space_edges, "overlap");
+  const connected = parts === 1 ? "all connected" : `in ${count(parts)} parts that no edge connects`;
   const tiles = [
     [["Λ"], short(s.score), `Largest ζ, at keyframe ${keyframes.label[worst]}. 0: graph and space agree.`],
-    [["mean ζ"], short(s.mean_score), "Near Λ: trouble everywhere. Far below: in one place."],
+    [["Λ of collisions"], short(s.collisions.score), "The part of it that no tie of the map explains."],
+    [["Λ of fusion"], short(s.fusion.score), "The part that ties near by explain: how incomplete they are."],
     [[symbol("Λ_loc"), " / ", symbol("Λ_glob")], `${short(s.split.local)} / ${short(s.split.global)}`,
       "Is the neighbourhood wrong, or the shape of the whole map?"],
+    [["mean ζ"], short(s.mean_score), "Near Λ: trouble everywhere. Far below: in one place."],
     [["stable score"], short(s.stable_score), "Does not fade as the map grows: compare maps by this one."],
     [["keyframes"], count(s.n_keyframes),
-      parts === 1 ? "All connected with one another." : `In ${count(parts)} parts that no edge connects.`],
-    [["pose-graph edges"], count(s.n_pose_graph_edges), "Connections that the map's factors make."],
-    [["missing connections"], count(s.n_inserted_edges),
-      `Free space joins them, the pose graph does not. Of ${overlaps}.`],
+      `On ${plural(s.n_chains, "chain")} of odometry, ${connected}; ${plural(s.n_pose_graph_edges, "edge")}.`],
+    [["collisions"], count(s.n_collision_edges),
+      `Overlaps that nothing explains. Explained: ${count(s.n_fusion_edges)}. In all: ${count(s.n_free_space_edges)}.`],
   ];
   byId("tiles").replaceChildren(...tiles.map(([name, value, text]) =>
     element("div", { className: "tile" },
@@ -41,7 +44,11 @@ function fillWarnings() {
   const { n_components_pose_graph: inGraph, n_components_merged_graph: inSpace } = audit.summary;
   const missed = Object.values(unknown).reduce((a, b) => a + b, 0);
   const names = Object.keys(unknown).join(", ");
+  const { estimate } = audit;
   const warnings = [
+    estimate && !estimate.is_optimum &&
+      `The stored estimate is no optimum of its graph: one step moves keyframe ${keyframes.label[estimate.keyframe]} ` +
+      `by ${metres(estimate.step_m)}. Scores are of the map as stored; --optimise audits the optimum.`,
     missed && `${plural(missed, "factor")} of unknown type took no part in this audit: ${names}.`,
     bare && `${plural(bare, "keyframe")} of ${count(keyframes.n)} without a radius: the space there is not judged.`,
     inSpace < inGraph &&
@@ -54,40 +61,101 @@ function fillWarnings() {
 
 function fillKeyframe(i) {
   const most = 6; // labels that are listed
-  const missing = neighbours(audit.edges.inserted, i).map((j) => keyframes.label[j]);
+  const missing = joinedBy.collisions(i).map((j) => keyframes.label[j]);
   const more = missing.length > most ? ` and ${count(missing.length - most)} more` : "";
   byId("keyframe-title").textContent = `Keyframe ${keyframes.label[i]}`;
   describe(byId("keyframe-facts"), [
     ["ζ", short(keyframes.score[i])],
+    ["ζ of collisions", short(keyframes.collision[i])],
     ["stable score", short(keyframes.stable[i])],
     ["radius", metres(keyframes.radius[i])],
-    ["position (m)", place(keyframes.position[i])],
+    ["position (m)", coordinates(keyframes.position[i])],
     ["index", `${count(i)} of 0 … ${count(keyframes.n - 1)}`],
-    ["pose-graph edges", count(neighbours(audit.edges.pose_graph, i).length)],
-    ["missing connections", missing.length ? `to ${missing.slice(0, most).join(", ")}${more}` : "none"],
+    ["place", placeOf[i] < 0 ? "none" : String(places[placeOf[i]].rank)],
+    ["pose-graph edges", count(joinedBy.pose_graph(i).length)],
+    ["explained overlaps", count(joinedBy.fusion(i).length)],
+    ["collisions", missing.length ? `with ${missing.slice(0, most).join(", ")}${more}` : "none"],
   ]);
 }
 
-/** The places, worst first; `choose` is called with the place's worst keyframe. */
+/** How grave a kind of place is: the verdict that it leads to. */
+const gravity = new Map(Object.entries({
+  "likely false closure": "inconsistent", "collision by drift": "inconsistent", "undecided contact": "undecided",
+  "missed closure": "incomplete", "untied second pass": "incomplete", "tracking gap": "incomplete",
+}));
+
+const link = (text) => element("button", { type: "button", className: "link" }, text);
+
+/** The places, gravest first; `choose` is called with the place's number in the list. */
 function fillPlaces(choose) {
-  const columns = ["rank", "stable score", "ζ", "keyframe", "x, y, z (m)", "keyframes here", "missing connections"];
-  const rows = audit.places.map((p) => [
-    p.rank, short(p.stable_score), short(p.score), element("button", { type: "button", className: "link" }, p.label),
-    place(p.position), count(p.keyframes.length), count(p.n_inserted_edges),
+  const rows = places.map((p, k) => {
+    const swatch = element("i", { className: "swatch place" });
+    swatch.style.background = placeColour(k);
+    const kind = element("strong", { className: "kind" }, p.kind);
+    kind.dataset.level = gravity.get(p.kind) ?? "none";
+    const [earlier, later] = p.stretches.map(stretchLabel);
+    return [
+      element("span", { className: "rank" }, swatch, link(String(p.rank))), kind,
+      element("span", { className: "where", title: `${earlier}\n${later}` },
+        element("span", {}, earlier), element("span", {}, later)),
+      element("span", {}, `${p.sentence} `, element("em", {}, p.remedy)),
+    ];
+  });
+  const filled = table({ columns: ["place", "kind", "where", "what is there, and what to do"], rows });
+  filled.hidden = rows.length === 0;
+  rows.forEach((_, k) => filled.tBodies[0].rows[k].addEventListener("click", () => choose(k)));
+  byId("places-table").replaceChildren(filled);
+}
+
+/** The numbers of the place that is chosen. */
+function describePlace(k) {
+  const said = () => {
+    const p = places[k];
+    return `Place ${p.rank}: the two stretches run through the same space with probability ${probability(p.probability)}. ` +
+      `Allowance ${lengthOf(p.allowance_m)}, reach ${metres(p.reach_m)}. ${plural(p.edges.length, "overlap")} that a tie ` +
+      `explains; gain ${short(p.gain)}. ζ up to ${short(p.score)}, mostly ${p.scale}; stable score ${short(p.stable_score)}.`;
+  };
+  byId("places-hint").textContent =
+    !places.length ? "None: the pose graph has every connection that the free space shows." :
+    k === null ? "Choose a row to see the place on the map." : said();
+}
+
+const lengthOf = (value) => (value === infinity ? "unbounded" : metres(value));
+const closureLabel = ({ keyframes: [i, j] }) => `${keyframes.label[i]} – ${keyframes.label[j]}`;
+const isJudged = (closure) => closure.probability !== null;
+
+/** The map's own closures, least probable first; `choose` is called with the closure's number in the list. */
+function fillClosures(choose) {
+  const columns = ["closure", "probability", "misses by", "allowed", "others"];
+  const shown = closures.slice(0, mostClosures);
+  const rows = shown.map((c) => [
+    link(closureLabel(c)), probability(c.probability),
+    ...(isJudged(c) ? [`${metres(c.missed_m)}, ${short(c.missed_deg)}°`, lengthOf(c.allowed_m)] : ["–", "–"]),
+    isJudged(c) ? (c.is_false ? "contradict" : "agree") : "silent",
   ]);
   const filled = table({ columns, rows });
   filled.hidden = rows.length === 0;
-  audit.places.forEach((p, k) => filled.tBodies[0].rows[k].addEventListener("click", () => choose(p.worst)));
-  byId("places-table").replaceChildren(filled);
-  byId("places-hint").textContent = rows.length
-    ? "Choose a row to see the place on the map. Ranked by stable score, which is largest where the fault is; " +
-      "ζ may be largest far from it."
-    : "None: the pose graph has every connection that the free space shows.";
+  shown.forEach((c, k) => {
+    filled.tBodies[0].rows[k].classList.toggle("false", c.is_false);
+    filled.tBodies[0].rows[k].addEventListener("click", () => choose(k));
+  });
+  byId("closures-table").replaceChildren(filled);
 }
 
-function markPlace(keyframe) {
-  const { rows } = byId("places-table").querySelector("tbody");
-  audit.places.forEach((p, k) => rows[k].classList.toggle("chosen", p.worst === keyframe));
+/** What the others say of the closure that is chosen. */
+function describeClosure(k) {
+  const listed = closures.length > mostClosures ? `The ${count(mostClosures)} least probable of ` : "";
+  byId("closures-hint").textContent =
+    !closures.length ? "None: no factor closes a loop." :
+    k === null ? `${listed}${plural(closures.length, "closure")}. Choose a row to see the closure on the map.` :
+    `${closureLabel(closures[k])}: ${closures[k].sentence}`;
+}
+
+/** Mark one row of a table, or none. */
+function markRow(id, k) {
+  byId(id).querySelector("tr.chosen")?.classList.remove("chosen");
+  const row = k === null ? null : byId(id).querySelector("tbody").rows[k];
+  row?.classList.add("chosen");
 }
 
 function countTable(caption, counts, className = "") {

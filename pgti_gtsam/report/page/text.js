@@ -22,8 +22,14 @@ const plural = (number, one, many = one + "s") => `${count(number)} ${number ===
 
 const metres = (value) => (Number.isFinite(value) ? `${short(value)} m` : "none");
 
+/** A probability; those beyond four digits are said to be beyond. */
+function probability(value) {
+  if (value == null) return "–";
+  return value > 0.9999 ? "> 0.9999" : value < 0.0001 ? "< 0.0001" : value.toFixed(4);
+}
+
 /** Coordinates to the centimetre; adding 0 turns -0 into 0. */
-const place = (position) => position.map((value) => (Math.round(100 * value) / 100 + 0).toFixed(2)).join(", ");
+const coordinates = (position) => position.map((value) => (Math.round(100 * value) / 100 + 0).toFixed(2)).join(", ");
 
 /** Escape text for plotly, which reads a subset of HTML in hover texts and titles. */
 const plotText = (text) =>

@@ -1,0 +1,71 @@
+"""Does a verdict hang on the radius? The same map audited with smaller and larger spheres."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import gtsam
+
+from pgti_gtsam.diagnosis import diagnose
+from pgti_gtsam.diagnosis.records import Diagnosis, Level
+
+FACTORS = (0.25, 0.5, 1.0, 2.0, 4.0)
+"""Of the radii."""
+
+FRAGILE = (0.5, 2.0)
+"""Factors between which the verdict must not change."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Swept:
+    """A diagnosis with all radii scaled by a factor."""
+
+    factor: float
+    diagnosis: Diagnosis
+
+
+def radius_sweep(
+    graph: gtsam.NonlinearFactorGraph,
+    values: gtsam.Values,
+    diagnosis: Diagnosis,
+    *,
+    progress: Callable[[str], None] = lambda step: None,
+) -> list[Swept]:
+    """Diagnose a map with its radii scaled by each of `FACTORS`, and its edges chosen as before.
+
+    Parameters
+    ----------
+    graph, values
+        The map.
+    diagnosis : Diagnosis
+        What was found with the radii as they are.
+    progress : callable
+        Told in words what is being done.
+    """
+    pose_graph = diagnosis.pose_graph
+    adapted, keys = pose_graph.adaptation, pose_graph.keys.tolist()
+    edges, shared = (None, None) if adapted is None else (tuple(adapted.edges), adapted.min_shared_landmarks)
+    found = []
+    for factor in FACTORS:
+        progress(f"radii times {factor:g}")
+        found.append(
+            Swept(
+                factor=factor,
+                diagnosis=diagnosis
+                if factor == 1.0
+                else diagnose(
+                    graph,
+                    values,
+                    radii=dict(zip(keys, (factor * pose_graph.radii).tolist(), strict=True)),
+                    edges=edges,
+                    min_shared_landmarks=shared,
+                ),
+            )
+        )
+    return found
+
+
+def fragile(verdicts: dict[float, Level]) -> bool:
+    """Whether the verdict changes between half and twice the radii."""
+    return len({level for factor, level in verdicts.items() if FRAGILE[0] <= factor <= FRAGILE[1]}) > 1
