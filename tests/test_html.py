@@ -11,8 +11,9 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
+from hand_made import as_gtsam
 
-import pgti_gtsam as pgti
+from pgti_gtsam.diagnosis import diagnose
 from pgti_gtsam.errors import InvalidValueError
 from pgti_gtsam.report import html
 from pgti_gtsam.report.document import audit_document
@@ -41,19 +42,17 @@ needs_chromium = pytest.mark.skipif(CHROMIUM is None, reason="needs a browser: D
 
 def audit(positions, edges, radius, name="map"):
     """The document of a map; its lists are copied, so that a test may change them."""
-    radii = np.full(len(positions), float(radius))
-    pose_graph = pgti.PoseGraph(
-        keys=np.arange(len(positions)), positions=np.asarray(positions, dtype=float), edges=edges, radii=radii
-    )
-    document = audit_document(pose_graph, pgti.assess(pose_graph), name=name, file_format="fabricated")
+    graph, values = as_gtsam(positions, edges)
+    radii = dict(enumerate(np.broadcast_to(np.asarray(radius, dtype=float), len(positions)).tolist()))
+    document = audit_document(diagnose(graph, values, radii=radii), name=name, file_format="fabricated")
     return json.loads(json.dumps(document))
 
 
-def two_laps(n=40):
-    """Two laps of a figure of eight that nothing connects: the second is seen beside the first."""
+def two_laps(n=41):
+    """Two laps of a figure of eight, tied where they start: elsewhere the second is seen beside the first."""
     s = np.linspace(0, 4 * np.pi, n)
     positions = np.c_[20 * np.sin(s), 10 * np.sin(2 * s), 0.02 * s]
-    return audit(positions, [(i, i + 1) for i in range(n - 1)], 1.0)
+    return audit(positions, [*((i, i + 1) for i in range(n - 1)), (0, n // 2)], 1.0)
 
 
 def planar():
@@ -70,7 +69,7 @@ def hostile():
     document = two_laps()
     document["input"] = {"name": HOSTILE, "format": HOSTILE, "notes": [HOSTILE]}
     document["keyframes"]["label"] = [HOSTILE] * len(document["keyframes"]["label"])
-    document["summary"]["verdict"] = {"level": "broken", "text": HOSTILE}
+    document["verdict"] = {"level": HOSTILE, "text": HOSTILE}
     document["options"] = {HOSTILE: HOSTILE}
     counts = {HOSTILE: 1}
     document["adaptation"] = {
@@ -78,7 +77,20 @@ def hostile():
         "n_observations": 1, "keyframes_without_radius": 1, "max_shared_landmarks": None,
     }  # fmt: skip
     for place in document["places"]:
-        place["label"] = HOSTILE
+        place |= {"label": HOSTILE, "kind": HOSTILE, "sentence": HOSTILE, "remedy": HOSTILE, "scale": HOSTILE}
+    for closure in document["closures"]:
+        closure["sentence"] = HOSTILE
+    return document
+
+
+def unknown():
+    """What the document says where nothing is known: nothing judges the closures, nothing bounds the drift."""
+    document = two_laps()
+    for place in document["places"]:
+        place |= {"allowance_m": "infinite", "gain": "infinite", "proposal": None}
+    for closure in document["closures"]:
+        closure |= {"probability": None, "log_odds": None, "allowed_m": "infinite"}
+    document["adaptation"] = None
     return document
 
 
@@ -87,8 +99,9 @@ MAPS = {
     "planar": planar,
     "isolated keyframe": isolated,
     "one keyframe": lambda: audit([[0, 0, 0]], [], 1.0),
-    "no edge": lambda: audit([[0, 0, 0], [9, 9, 9]], [], 0.0),
+    "no edge": lambda: audit([[0, 0, 0], [9, 9, 9]], [], [0.0, 0.5]),
     "coincident keyframes": lambda: audit([[1, 2, 3]] * 3, [(0, 1), (1, 2)], 0.5),
+    "nothing known": unknown,
     "hostile texts": hostile,
 }
 
@@ -105,6 +118,24 @@ def opened(document, folder, fragment=""):
     address = (folder / "page.html").as_uri() + fragment
     command = [CHROMIUM, *OFFLINE, f"--user-data-dir={folder / 'profile'}", "--dump-dom", address]
     return subprocess.run(command, capture_output=True, text=True, timeout=180, check=True).stdout
+
+
+def run_after(monkeypatch, script):
+    """Let every page run a script once it is ready, among its own: `page` puts its hash into the policy."""
+    asset = html._asset
+    monkeypatch.setattr(html, "_asset", lambda name: asset(name) + script * (name == "main.js"))
+
+
+def marked(dom):
+    """What the map marks, in the words of its canvas."""
+    return re.search(r'<canvas id="marks"[^>]*aria-label="([^"]*)"', dom).group(1)
+
+
+def rows_of(dom, table):
+    """The rows of a table of the page as (classes, text)."""
+    body = re.search(rf'id="{table}">.*?<tbody>(.*?)</tbody>', dom, re.DOTALL).group(1)
+    rows = re.findall(r'<tr(?: class="([^"]*)")?>(.*?)</tr>', body, re.DOTALL)
+    return [(classes, " ".join(re.sub(r"<[^>]*>", " ", text).split())) for classes, text in rows]
 
 
 class References(HTMLParser):
@@ -141,18 +172,107 @@ def test_hostile_text_stays_text(dom_of):
 
 
 @needs_chromium
+def test_page_opens_at_the_first_place(dom_of):
+    document, dom = two_laps(), dom_of("two laps")
+    classes, text = rows_of(dom, "places-table")[0]
+    assert classes == "chosen"
+    assert document["places"][0]["sentence"] in text
+    assert document["places"][0]["remedy"] in text
+    assert int(re.match(r"Marked: keyframe (\d+), place 1, ", marked(dom)).group(1)) in document["places"][0]["closest"]
+
+
+@needs_chromium
+def test_page_without_a_place_opens_at_the_worst_keyframe(dom_of):
+    document = planar()
+    assert not document["places"]
+    assert marked(dom_of("planar")).startswith(f"Marked: keyframe {document['summary']['worst']},")
+
+
+@needs_chromium
 def test_address_chooses_the_keyframe(tmp_path):
     document = two_laps()
     assert document["summary"]["worst"] != 17
-    assert re.search(r'<h2 id="keyframe-title"[^>]*>Keyframe 17<', opened(document, tmp_path, "#keyframe=17"))
+    dom = opened(document, tmp_path, "#keyframe=17")
+    assert re.search(r'<h2 id="keyframe-title"[^>]*>Keyframe 17<', dom)
+    assert marked(dom).startswith("Marked: keyframe 17, ")
+
+
+@needs_chromium
+def test_address_chooses_the_place(tmp_path):
+    dom = opened(two_laps(), tmp_path, "#place=2")
+    assert [classes for classes, _ in rows_of(dom, "places-table")][:3] == ["", "chosen", ""]
+    assert ", place 2, " in marked(dom)
+
+
+@needs_chromium
+def test_closures_are_listed_and_a_click_draws_one(tmp_path, monkeypatch):
+    document = two_laps()
+    (closure,) = document["closures"]
+    i, j = closure["keyframes"]
+    click = 'byId("closures-table").querySelector("tbody tr").click();'
+    run_after(monkeypatch, f"{click} await new Promise((resume) => setTimeout(resume, 1000));")
+    dom = opened(document, tmp_path)
+    assert [(classes, text.startswith(f"{i} – {j} ")) for classes, text in rows_of(dom, "closures-table")] == [
+        ("chosen", True)
+    ]
+    assert closure["sentence"] in dom
+    assert marked(dom).startswith(f"Marked: keyframe {j}, closure {i} – {j}, ")
+
+
+@needs_chromium
+def test_map_is_coloured_by_scores_and_by_place(tmp_path, monkeypatch):
+    """By place, the keyframes of a place's stretches share a colour that no keyframe outside has."""
+    document = two_laps()
+    script = """
+      const colours = {};
+      for (const { value } of [...byId("colour-by").options]) {
+        byId("colour-by").value = value;
+        byId("colour-by").dispatchEvent(new Event("change"));
+        await new Promise((resume) => setTimeout(resume, 1000));
+        colours[value] = Array.from(byId("map").data[3].marker.color);
+      }
+      document.body.dataset.colours = JSON.stringify(colours).replaceAll('"', "'");
+    """
+    run_after(monkeypatch, script)
+    colours = json.loads(re.search(r'data-colours="([^"]*)"', opened(document, tmp_path)).group(1).replace("'", '"'))
+    keyframes = document["keyframes"]
+    np.testing.assert_allclose(colours["score"], keyframes["score"])
+    np.testing.assert_allclose(colours["collisions"], keyframes["collision_score"])
+    inside = {k for place in document["places"] for first, last in place["stretches"] for k in range(first, last + 1)}
+    grey = {colour for k, colour in enumerate(colours["place"]) if k not in inside}
+    assert len(grey) <= 1
+    assert grey.isdisjoint(colours["place"][k] for k in inside)
+    [(first, last), _] = document["places"][0]["stretches"]
+    assert len(set(colours["place"][first : last + 1])) == 1
+
+
+@needs_chromium
+def test_a_choice_draws_no_trace_of_the_map_anew(tmp_path, monkeypatch):
+    """plotly would upload the whole map again, which takes seconds where keyframes are many."""
+    script = """
+      let drawn = 0;
+      byId("map").on("plotly_afterplot", () => { drawn += 1; });
+      for (const keyframe of [3, 4, 5]) await choose(atKeyframe(keyframe));
+      document.body.dataset.drawn = drawn;
+    """
+    run_after(monkeypatch, script)
+    assert 'data-drawn="0"' in opened(two_laps(), tmp_path)
+
+
+@needs_chromium
+def test_estimate_that_is_no_optimum_is_noticed(tmp_path, dom_of):
+    document = two_laps()
+    document["estimate"] |= {"is_optimum": False, "keyframe": 7, "step_m": 1.5}
+    assert "no optimum of its graph: one step moves keyframe 7 by 1.5 m" in opened(document, tmp_path)
+    assert "no optimum of its graph: one" not in re.search(r'<div id="warnings">.*?</div>', dom_of("two laps")).group()
 
 
 @needs_chromium
 def test_click_chooses_the_keyframe_that_was_hit(tmp_path, monkeypatch):
-    """On an edge its nearer end, on a sphere its keyframe. plotly repeats a click while it draws: that must end."""
+    """On an edge its end that was hit. plotly repeats a click while it draws: that must end."""
     document = two_laps()
-    (i, j), (k, _) = document["edges"]["pose_graph"][5], document["edges"]["inserted"][0]
-    hits = [(0, 15, i), (0, 16, j), (1, 0, k), (2, 66 * 30, 30), (3, 7, 7), (4, 0, 7)]
+    (i, j), (k, _), (m, _) = (document["edges"][name][5] for name in ("pose_graph", "fusion", "collisions"))
+    hits = [(0, 15, i), (0, 16, j), (1, 15, k), (2, 15, m), (3, 7, 7)]
     clicks = """
       byId("map").on("plotly_afterplot", () => byId("map").emit("plotly_click", { points: [hit] }));
       let hit;
@@ -164,9 +284,8 @@ def test_click_chooses_the_keyframe_that_was_hit(tmp_path, monkeypatch):
         chosen.push(byId("keyframe-title").textContent);
       }
       document.body.dataset.chosen = chosen;
-    """.replace("HITS", json.dumps(hits))
-    asset = html._asset
-    monkeypatch.setattr(html, "_asset", lambda name: asset(name) + clicks * (name == "main.js"))
+    """
+    run_after(monkeypatch, clicks.replace("HITS", json.dumps(hits)))
     expected = ",".join(f"Keyframe {hit[2]}" for hit in hits)
     assert f'data-chosen="{expected}"' in opened(document, tmp_path)
 
@@ -200,7 +319,7 @@ def test_policy_forbids_all_but_the_two_scripts():
 
 
 @pytest.mark.parametrize(
-    "change", [{"schema": "other"}, {"schema_version": 2}, {"times": [float("nan")]}, {"times": [float("inf")]}]
+    "change", [{"schema": "other"}, {"schema_version": 1}, {"times": [float("nan")]}, {"times": [float("inf")]}]
 )
 def test_other_documents_are_refused(change):
     with pytest.raises(InvalidValueError, match="expected"):

@@ -14,7 +14,7 @@ const hoverTexts = keyframes.label.map((label, i) =>
 
 /** All edges as one broken line: (i, j, gap), (i, j, gap), ... */
 function brokenLine(edges) {
-  const line = { text: new Array(3 * edges.length) };
+  const line = { text: edges.flatMap(([i, j]) => [hoverTexts[i], hoverTexts[j], ""]) };
   for (const axis of ["x", "y", "z"]) {
     const values = keyframes[axis];
     line[axis] = new Float64Array(3 * edges.length).fill(NaN);
@@ -23,7 +23,6 @@ function brokenLine(edges) {
       line[axis][3 * k + 1] = values[j];
     });
   }
-  edges.forEach(([i, j], k) => line.text.splice(3 * k, 3, hoverTexts[i], hoverTexts[j], ""));
   return line;
 }
 
@@ -49,11 +48,16 @@ const colourings = {
   place: { values: null, top: 1, level: Float64Array.from(placeOf, (k) => (k < 0 ? 0 : 1)) },
 };
 
-/** Markers grow with the score, shrink where keyframes are many, and grow again as the eye comes near. */
-function markerSizes(nearness) {
+/** Markers are small where keyframes are many, and grow as the eye comes nearer than for the whole map. */
+function markerBase(camera) {
+  const nearness = 2 ** Math.max(0, Math.round(Math.log2(eyeDistance(wholeView()) / eyeDistance(camera))));
+  return Math.min(6, nearness * Math.max(2.5, 6 - keyframes.n / 1000));
+}
+
+/** A score enlarges its marker. */
+function markerSizes() {
   const { level, top } = colourings[state.colour];
-  const base = Math.min(6, nearness * Math.max(2.5, 6 - keyframes.n / 1000));
-  return Array.from(level, (s) => base * (1 + s / top));
+  return Array.from(level, (s) => drawnBase * (1 + s / top));
 }
 
 function markerColours() {
@@ -67,14 +71,14 @@ function markerColours() {
   return { color: level, cmin: 0, cmax: top, colorscale: "Viridis", showscale: true, colorbar };
 }
 
-function keyframeTrace(nearness) {
+function keyframeTrace() {
   const { values } = colourings[state.colour];
   const plain = keyframes.n <= mostDiscs ? "circle" : "square";
   return {
     type: "scatter3d", mode: "markers", name: "keyframes",
     x: keyframes.x, y: keyframes.y, z: keyframes.z, text: hoverTexts, hoverinfo: "text",
     marker: {
-      size: markerSizes(nearness), opacity: 1, ...markerColours(),
+      size: markerSizes(), opacity: 1, ...markerColours(),
       symbol: values === null ? plain : Array.from(values, (s) => (s === Infinity ? "diamond" : plain)),
       line: { color: theme().outline, width: keyframes.n <= 2000 ? 0.8 : 0 },
     },
@@ -94,9 +98,7 @@ function axis(name, k) {
 const mapAspect = () => byId("map").clientWidth / byId("map").clientHeight;
 const wholeView = () => cameraOn([...keyframes.position, ...(planar ? [] : frame.corners)], mapAspect());
 
-/** How many times nearer than for the whole map the eye is, in powers of two, so that markers are seldom drawn anew. */
-const nearnessOf = (camera) => 2 ** Math.max(0, Math.round(Math.log2(eyeDistance(wholeView()) / eyeDistance(camera))));
-let drawnNearness = 1;
+let drawnBase = null; // of the markers, for the camera that they were last drawn for
 
 /** Draw the map, as seen so far or, at first, as the choice asks for. */
 function drawMap() {
@@ -107,24 +109,31 @@ function drawMap() {
     aspectmode: "manual", aspectratio: xyz(frame.ratio), camera,
     dragmode: planar ? "pan" : viewpoint.up[2] === 1 ? "turntable" : "orbit",
   };
-  drawnNearness = nearnessOf(camera);
+  drawnBase = markerBase(camera);
   const traces = [
     edgeTrace("poseGraph", "pose graph", colors.blue, 2, fading(audit.edges.pose_graph.length)),
     edgeTrace("fusion", "fusion", colors.fusion, 2, fading(audit.edges.fusion.length)),
     edgeTrace("collisions", "collisions", colors.red, audit.edges.collisions.length > 2000 ? 3 : 5, 1),
-    keyframeTrace(drawnNearness),
+    keyframeTrace(),
   ];
   const layout = { ...plainLayout(), margin: { l: 0, r: 0, t: 0, b: 0 }, scene, uirevision: "map" };
   return Plotly.react("map", traces, layout, mapConfig);
 }
 
-/** Fit the markers to the camera's distance. */
-async function fitMarkers() {
-  const nearness = nearnessOf(byId("map").layout.scene.camera);
-  if (nearness === drawnNearness) return;
-  drawnNearness = nearness;
-  await Plotly.restyle("map", { "marker.size": [markerSizes(nearness)] }, [layers.keyframes]);
-}
+/** Fit the markers to the camera, once it has come to rest: plotly draws the whole map anew. */
+const fitMarkers = (() => {
+  let timer = null;
+  const fit = () => {
+    const base = markerBase(byId("map").layout.scene.camera);
+    if (base === drawnBase) return;
+    drawnBase = base;
+    Plotly.restyle("map", { "marker.size": [markerSizes()] }, [layers.keyframes]);
+  };
+  return () => {
+    clearTimeout(timer);
+    timer = setTimeout(fit, 200);
+  };
+})();
 
 /** The keyframe under a click: an edge answers for the keyframe at the end that was hit. */
 function clickedKeyframe({ curveNumber, pointNumber }) {
@@ -138,7 +147,7 @@ function chosenView() {
   if (ends === null) return keyframeView(state.keyframe);
   const seen = ends.map((i) => keyframes.position[i]);
   const middle = [0, 1, 2].map((k) => middleOf(seen.map((p) => p[k])));
-  return cameraOn([...seen, ...around(middle, frame.scale / 12)], mapAspect());
+  return cameraOn([...seen, ...around(middle, frame.scale / 20)], mapAspect());
 }
 
 function chosenEnds() {

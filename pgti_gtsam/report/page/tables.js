@@ -120,6 +120,7 @@ function describePlace(k) {
     k === null ? "Choose a row to see the place on the map." : said();
 }
 
+const rough = (value) => short(Number(value.toPrecision(2)));
 const lengthOf = (value) => (value === infinity ? "unbounded" : metres(value));
 const closureLabel = ({ keyframes: [i, j] }) => `${keyframes.label[i]} – ${keyframes.label[j]}`;
 const isJudged = (closure) => closure.probability !== null;
@@ -130,7 +131,7 @@ function fillClosures(choose) {
   const shown = closures.slice(0, mostClosures);
   const rows = shown.map((c) => [
     link(closureLabel(c)), probability(c.probability),
-    ...(isJudged(c) ? [`${metres(c.missed_m)}, ${short(c.missed_deg)}°`, lengthOf(c.allowed_m)] : ["–", "–"]),
+    ...(isJudged(c) ? [`${rough(c.missed_m)} m, ${rough(c.missed_deg)}°`, lengthOf(c.allowed_m)] : ["–", "–"]),
     isJudged(c) ? (c.is_false ? "contradict" : "agree") : "silent",
   ]);
   const filled = table({ columns, rows });
@@ -140,6 +141,7 @@ function fillClosures(choose) {
     filled.tBodies[0].rows[k].addEventListener("click", () => choose(k));
   });
   byId("closures-table").replaceChildren(filled);
+  byId("found").classList.toggle("without-closures", rows.length === 0);
 }
 
 /** What the others say of the closure that is chosen. */
