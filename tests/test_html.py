@@ -34,7 +34,7 @@ OFFLINE = [
     "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader",
     "--window-size=1400,1000",
-    "--virtual-time-budget=20000",
+    "--virtual-time-budget=10000",
 ]
 
 needs_chromium = pytest.mark.skipif(CHROMIUM is None, reason="needs a browser: Debian package chromium")
