@@ -15,6 +15,10 @@ from scenarios import scans as scan_graphs
 from scenarios import speed as speed_experiment
 from scenarios.aliasing import figure, maps, sweep, tables, trials
 from scenarios.aliasing.methods import METHODS
+from scenarios.diagnosis import maps as diagnosed_maps
+from scenarios.diagnosis import sweep as diagnosis_sweep
+from scenarios.diagnosis import tables as diagnosis_tables
+from scenarios.diagnosis import trials as diagnosis_trials
 from scenarios.worlds.layouts import LAYOUTS
 
 RESULTS = Path(__file__).parent / "results"
@@ -130,6 +134,31 @@ def outliers_in_standard_graphs(
         even = [row for row in own if row["share"] == 1.0]
         print(f"\n{name}, F1 by kind at 100 %\n" + tables.table(even, "setting"))
         print("\n" + tables.summary([row for row in even if row["setting"] == "random"]))
+    print(f"results: {out}")
+
+
+@app.command("diagnosis")
+def known_damage(
+    data: Annotated[Path | None, typer.Option(help="Folder with the real graphs; worlds only without.")] = None,
+    names: Annotated[str, typer.Option("--worlds", help="Which, between commas.")] = ",".join(LAYOUTS),
+    seeds: Annotated[str, typer.Option(help="Seeds of the drives, between commas.")] = ",".join(map(str, range(15))),
+    covisible_seeds: Annotated[str, typer.Option(help="Seeds of the maps with landmarks.")] = "0,1,2",
+    scheduler: Annotated[str | None, typer.Option(help="Address of a Dask scheduler; a local cluster without.")] = None,
+    out: Annotated[Path, typer.Option(help="A JSON line a case; known ones are kept.")] = RESULTS / "diagnosis.jsonl",
+) -> None:
+    """Maps with known damage, diagnosed: verdicts against the truth, kinds of places, false closures. 20 minutes."""
+    wanted = _names(names)
+    unknown = sorted(set(wanted) - set(LAYOUTS))
+    if unknown:
+        raise InvalidOptionError(f"expected worlds from {', '.join(LAYOUTS)}, got {', '.join(unknown)}")
+    cases = list(diagnosis_trials.world_trials(wanted, _whole_numbers(seeds), _whole_numbers(covisible_seeds)))
+    cases += diagnosis_trials.real_trials() if data is not None else []
+    rows = diagnosis_sweep.run(out, cases, data, scheduler, tell=print)
+    for line in diagnosis_tables.report(rows):
+        print(line)
+    described = out.with_name(out.stem + "_maps.json")
+    diagnosed_maps.write(rows, data, described)
+    diagnosed_maps.draw(json_text.loads(described.read_text(encoding="utf-8")), out.with_suffix(".png"))
     print(f"results: {out}")
 
 

@@ -1,0 +1,96 @@
+"""Maps of odometry and landmarks: what is seen again under its old identity ties passes, and the radii come from it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from scenarios.diagnosis import damage, sparse
+from scenarios.diagnosis.courses import Course, course, second_passes
+from scenarios.diagnosis.damage import Case, Intact
+from scenarios.worlds import MATCH, landmarks
+from scenarios.worlds.layouts import LAYOUTS
+from scenarios.worlds.solid import Array
+
+SEEN = 30
+"""Landmarks a keyframe: twice as many as two keyframes share that the adapter takes for tied."""
+
+DAMAGES = (damage.NOTHING, damage.DROPPED, damage.FALSE, damage.MANY_FALSE, damage.ODOMETRY)
+"""Of `damage.DAMAGES`, those that such maps are given."""
+
+Sightings = list[tuple[int, Array]]
+
+
+def case(world: str, seed: int, kind: str) -> Case:
+    """A course through a world with one of `DAMAGES`."""
+    random = np.random.default_rng([seed, sorted(LAYOUTS).index(world), damage.DAMAGES.index(kind)])
+    driven = course(world, seed)
+    seen, points = _sightings(driven, random)
+    if kind == damage.DROPPED:
+        passes = second_passes(driven)
+        seen = _forgotten(seen, *_ends(passes[random.integers(len(passes))])) if passes else seen
+    if kind == damage.ODOMETRY:
+        seen = _followed(seen)
+    found = _intact(driven, seen, points)
+    return damage.damaged(found, kind, random, range(len(driven.truth)), float(np.median(driven.radii)))
+
+
+def _intact(driven: Course, seen: list[Sightings], points: Array) -> Intact:
+    """The map of what was seen; landmarks are placed where they are, or from odometry alone."""
+    sensor = driven.layout.sensor
+    graph, near = landmarks.landmark_graph(seen, driven.truth, sensor)
+    _, chained = landmarks.landmark_graph(seen, driven.chained(), sensor)
+    graph.push_back(sparse.odometry(driven))
+    return Intact(
+        base=graph,
+        revisits=(),
+        near=near,
+        chained=chained,
+        radii=None,
+        places=np.array([pose.translation() for pose in driven.truth]),
+        noise=sparse.told(MATCH, driven),
+        match=sparse.identity(driven),
+    )
+
+
+def _sightings(driven: Course, random: np.random.Generator) -> tuple[list[Sightings], Array]:
+    """For each keyframe, points in view, the strongest ones, and where it sees them; a point keeps its identity."""
+    layout, sensor = driven.layout, driven.layout.sensor
+    points = landmarks.places(layout.solid, sensor, driven.truth[0].z(), layout.landmarks_per_m2, random)
+    strength = random.permutation(len(points))
+    seen = []
+    for pose in driven.truth:
+        view = sensor.sees(layout.solid, pose, points)
+        view = view[random.random(len(view)) >= sensor.drop_out]
+        view = view[np.argsort(strength[view])][:SEEN]
+        local = (points[view] - pose.translation()) @ pose.rotation().matrix()
+        away = np.linalg.norm(local, axis=1, keepdims=True)
+        local = local * (1 + random.normal(0.0, sensor.noise_m, away.shape) / away)
+        seen.append(list(zip(view.tolist(), local, strict=True)))
+    return seen, points
+
+
+def _forgotten(seen: list[Sightings], first: int, last: int) -> list[Sightings]:
+    """A later stretch that recognises nothing from before, nor is recognised after it."""
+    new = 1 + max((point for points in seen for point, _ in points), default=0)
+    return [
+        [(point + new if first <= k <= last else point, at) for point, at in points] for k, points in enumerate(seen)
+    ]
+
+
+def _followed(seen: list[Sightings]) -> list[Sightings]:
+    """Identities that last as long as a point is followed."""
+    last: dict[int, int] = {}
+    name: dict[int, int] = {}
+    found, n_names = [], 0
+    for k, points in enumerate(seen):
+        for point, _ in points:
+            if k - last.get(point, -landmarks.LOST_AFTER - 1) > landmarks.LOST_AFTER:
+                name[point], n_names = n_names, n_names + 1
+            last[point] = k
+        found.append([(name[point], at) for point, at in points])
+    return found
+
+
+def _ends(pairs: Array) -> tuple[int, int]:
+    """First and last keyframe of the later pass."""
+    return int(pairs[:, 1].min()), int(pairs[:, 1].max())

@@ -1,0 +1,124 @@
+"""Rows as Markdown: verdicts against what is right, by damage; kinds of places; false closures."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+EXPECTED = ("consistent", "incomplete", "inconsistent")
+VERDICTS = (*EXPECTED, "undecided")
+
+REAL_KINDS = ("missed closure", "untied second pass", "tracking gap", "incomplete fusion")
+CHANCE_KINDS = ("collision by drift", "likely false closure")
+"""Kinds of places by whether the contact would be real; the remaining kind decides nothing."""
+
+Rows = Sequence[dict[str, Any]]
+
+
+def confusion(rows: Rows) -> str:
+    """What is right against what was said, and the share right among all."""
+    count = Counter((row["expected"], row["verdict"]) for row in known(rows))
+    lines = [_line(["right \\ said", *VERDICTS, "right of decided", "right of all"]), _rule(7)]
+    for right in EXPECTED:
+        own = [row for row in known(rows) if row["expected"] == right]
+        lines.append(_line([right, *(count[right, said] for said in VERDICTS), *_shares(own)]))
+    return "\n".join([*lines, _line(["all", *(_said(rows, said) for said in VERDICTS), *_shares(known(rows))])])
+
+
+def by(rows: Rows, name: str) -> str:
+    """Shares right by what a column holds, and the confusions."""
+    lines = [_line([name, "cases", "right of decided", "right of all", "undecided", "wrong: right → said"]), _rule(6)]
+    for value in dict.fromkeys(row[name] for row in known(rows)):
+        own = [row for row in known(rows) if row[name] == value]
+        wrong = Counter(
+            f"{row['expected']} → {row['verdict']}"
+            for row in own
+            if row["verdict"] not in (row["expected"], "undecided")
+        )
+        told = ", ".join(f"{n} {what}" for what, n in wrong.most_common())
+        lines.append(_line([value, len(own), *_shares(own), _said(own, "undecided"), told or "–"]))
+    return "\n".join(lines)
+
+
+def good(rows: Rows) -> str:
+    """How often a map with nothing wrong is called inconsistent."""
+    own = [row for row in known(rows) if row["damage"] == "nothing" and row["expected"] != "inconsistent"]
+    bad = _said(own, "inconsistent")
+    apart = sum(row["damage"] == "nothing" for row in known(rows)) - len(own)
+    return (
+        f"undamaged and right by the truth: {len(own)} maps, {bad} called inconsistent ({_share(bad, len(own))}); "
+        f"{apart} more are undamaged, but bring stretches into contact that are apart"
+    )
+
+
+def kinds(rows: Rows) -> str:
+    """How often a place's kind is right, by kind."""
+    places = [place for row in known(rows) for place in row["places"]]
+    lines = [_line(["kind", "places", "contact is real", "kind is right"]), _rule(4)]
+    for kind in (*REAL_KINDS, *CHANCE_KINDS, "undecided contact"):
+        own = [place for place in places if place[0] == kind]
+        real = sum(place[1] for place in own)
+        right = real if kind in REAL_KINDS else len(own) - real
+        lines.append(
+            _line([kind, len(own), real, "–" if kind not in REAL_KINDS + CHANCE_KINDS else _share(right, len(own))])
+        )
+    return "\n".join(lines)
+
+
+def closures(rows: Rows) -> str:
+    """Where false closures stand among a map's closures, and who is called false."""
+    heads = ["false closures", "maps", "all of them least probable", "all called false", "true ones called false"]
+    lines = [_line(heads), _rule(5)]
+    tests: dict[str, Callable[[dict[str, Any]], bool]] = {
+        "one, visible": lambda row: len(row["ranks"]) == 1 and row["visible"],
+        "one, not visible": lambda row: len(row["ranks"]) == 1 and not row["visible"],
+        "several, visible": lambda row: len(row["ranks"]) > 1 and row["visible"],
+        "several, not visible": lambda row: len(row["ranks"]) > 1 and not row["visible"],
+        "none": lambda row: not row["ranks"],
+    }
+    for name, test in tests.items():
+        own = [row for row in known(rows) if test(row)]
+        least = sum(sorted(row["ranks"], key=lambda k: k or 0) == list(range(1, len(row["ranks"]) + 1)) for row in own)
+        called = sum(row["false_called"] == len(row["ranks"]) for row in own)
+        true, total = sum(row["true_called"] for row in own), sum(row["n_closures"] - len(row["ranks"]) for row in own)
+        cells = ["–", "–"] if name == "none" else [_share(least, len(own)), _share(called, len(own))]
+        lines.append(_line([name, len(own), *cells, f"{true} of {total}"]))
+    return "\n".join(lines)
+
+
+def report(rows: Rows) -> Iterator[str]:
+    """All tables of each kind of map, with a heading each."""
+    for variant in dict.fromkeys(row["variant"] for row in rows):
+        own = [row for row in rows if row["variant"] == variant]
+        yield f"\n{variant}: {len(known(own))} cases, {len(own) - len(known(own))} more came to no end\n"
+        yield from (confusion(own), "", by(own, "damage"), "", by(own, "world"), "")
+        yield from (good(own), "", kinds(own), "", closures(own))
+        seconds = sorted(row["seconds"] for row in known(own)) or [0.0]
+        yield f"\nseconds a diagnosis: median {seconds[len(seconds) // 2]}, longest {seconds[-1]}"
+
+
+def known(rows: Rows) -> list[dict[str, Any]]:
+    """Rows of trials that came to an end."""
+    return [row for row in rows if "failed" not in row]
+
+
+def _said(rows: Rows, verdict: str) -> int:
+    return sum(row["verdict"] == verdict for row in known(rows))
+
+
+def _shares(rows: Rows) -> list[str]:
+    right, decided = sum(row["verdict"] == row["expected"] for row in rows), len(rows) - _said(rows, "undecided")
+    return [_share(right, decided), _share(right, len(rows))]
+
+
+def _share(part: int, whole: int) -> str:
+    return f"{100 * part / whole:.0f} %" if whole else "–"
+
+
+def _line(cells: Sequence[Any]) -> str:
+    return f"| {' | '.join(map(str, cells))} |"
+
+
+def _rule(n: int) -> str:
+    return "|" + "---|" * n

@@ -1,0 +1,119 @@
+"""What is tried: damages of maps, and one row of numbers for each."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from itertools import product
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from pgti_gtsam.diagnosis import Diagnosis, diagnose
+from pgti_gtsam.errors import PgtiError
+from scenarios.diagnosis import covisible, damage, real, sparse
+from scenarios.diagnosis.damage import Case
+from scenarios.diagnosis.expectation import Expectation, expected
+from scenarios.diagnosis.stretches import any_chance, is_real
+
+SPARSE, COVISIBLE, REAL = "sparse", "covisible", "real"
+
+FALSE_SEEDS, DROPPED_SEEDS = 20, 5
+"""False closures and dropped revisits that are drawn in every real graph."""
+
+LARGE = ("manhattan_olson3500",)
+"""Graphs of which a diagnosis takes minutes: a quarter of the draws."""
+
+
+class Trial(NamedTuple):
+    """A world or a graph's name, a seed, one of the three kinds of map, one of `damage.DAMAGES`."""
+
+    world: str
+    seed: int
+    variant: str
+    damage: str
+
+
+def world_trials(worlds: Sequence[str], seeds: Sequence[int], covisible_seeds: Sequence[int]) -> Iterator[Trial]:
+    """Every damage in every world."""
+    yield from (Trial(world, seed, SPARSE, kind) for seed, world, kind in product(seeds, worlds, damage.DAMAGES))
+    for seed, world, kind in product(covisible_seeds, worlds, covisible.DAMAGES):
+        yield Trial(world, seed, COVISIBLE, kind)
+
+
+def real_trials() -> Iterator[Trial]:
+    """Every damage of every real graph, drawn anew where there is something to draw."""
+    draws = {damage.FALSE: FALSE_SEEDS, damage.DROPPED: DROPPED_SEEDS}
+    for name, kind in product(real.RADII, real.DAMAGES):
+        n_draws = draws.get(kind, 1)
+        yield from (Trial(name, seed, REAL, kind) for seed in range(-(-n_draws // 4) if name in LARGE else n_draws))
+
+
+def case(trial: Trial, data: Path | None) -> Case:
+    """What is diagnosed."""
+    if trial.variant == REAL:
+        if data is None:
+            raise ValueError("expected the folder of the real graphs, got none; give --data")
+        return real.case(trial.world, trial.seed, trial.damage, data)
+    make = sparse.case if trial.variant == SPARSE else covisible.case
+    return make(trial.world, trial.seed, trial.damage)
+
+
+def row(trial: Trial, data: Path | None) -> dict[str, Any]:
+    """Build, damage, diagnose, compare."""
+    try:
+        built = case(trial, data)
+        begun = time.perf_counter()
+        found = diagnose(built.graph, built.values, radii=built.radii)
+        seconds = time.perf_counter() - begun
+    except PgtiError as error:
+        return trial._asdict() | {"failed": str(error)}
+    right = expected(built, found.pose_graph)
+    return (
+        trial._asdict()
+        | {"expected": verdict(trial, right), "verdict": found.verdict, "reason": found.reason}
+        | {"n_keyframes": len(found.pose_graph), "n_closures": len(found.closures), "unit_m": _short(found.unit_m)}
+        | {"n_real": right.n_real, "n_chance": right.n_chance, "n_untied": right.n_untied}
+        | {"loosest": _short(right.loosest), "nearest_chance": _short(right.nearest_chance)}
+        | _places(found, right)
+        | _closures(built, found, right)
+        | {"seconds": _short(seconds)}
+    )
+
+
+def verdict(trial: Trial, right: Expectation) -> str:
+    """What the truth says; of real graphs, what is known besides."""
+    if trial.world in real.INCOMPLETE and right.verdict == "consistent":
+        return "incomplete"
+    return right.verdict
+
+
+def _places(found: Diagnosis, right: Expectation) -> dict[str, Any]:
+    """Places by kind, and of each its kind, whether it is real by the truth, and its probability."""
+    kinds = [place.kind for place in found.places]
+    each = [
+        [place.kind, is_real(right.gaps, place.keyframes), _short(place.probability), _short(place.allowance_m)]
+        for place in found.places
+    ]
+    return {"kinds": {kind: kinds.count(kind) for kind in dict.fromkeys(kinds)}, "places": each}
+
+
+def _closures(built: Case, found: Diagnosis, right: Expectation) -> dict[str, Any]:
+    """Where the false closures stand among all, who is called false, and whether overlaps give them away."""
+    order = [closure.slot for closure in found.closures]
+    called = {closure.slot for closure in found.closures if closure.is_false}
+    false, least = set(built.false_slots), next(iter(found.closures), None)
+    return {
+        "ranks": [order.index(slot) + 1 if slot in order else None for slot in built.false_slots],
+        "false_called": len(called & false),
+        "true_called": len(called - false),
+        "visible": any_chance(right.gaps, found.integrity.collision_edges) if false else None,
+        "least_log_odds": None if least is None else _short(least.log_odds),
+        "least_missed_m": None if least is None else _short(least.missed_m),
+        "least_allowed_m": None if least is None else _short(least.allowed_m),
+    }
+
+
+def _short(number: float) -> float | None:
+    return float(f"{number:.3g}") if np.isfinite(number) else None
