@@ -4,7 +4,7 @@ const plotConfig = {
   responsive: true, displaylogo: false, displayModeBar: false, doubleClick: "reset",
 };
 const mapConfig = {
-  ...plotConfig, displayModeBar: true, scrollZoom: true,
+  ...plotConfig, displayModeBar: window.innerWidth > 600, scrollZoom: true,
   modeBarButtonsToRemove: ["resetCameraDefault3d", "resetCameraLastSave3d"],
 };
 
@@ -24,7 +24,7 @@ function plainLayout() {
     font: { family: "system-ui, -apple-system, 'Segoe UI', Roboto, sans-serif", size: 12, color: colors.ink },
     hoverlabel: { bgcolor: colors.panel, bordercolor: colors.muted, font: { color: colors.ink }, align: "left" },
     margin: { l: 58, r: 12, t: 8, b: 44 },
-    modebar: { bgcolor: "rgba(0,0,0,0)", color: colors.muted, activecolor: colors.ink },
+    modebar: { bgcolor: colors.panel, color: colors.muted, activecolor: colors.ink },
   };
 }
 

@@ -17,12 +17,12 @@ const hasWebGL = Boolean(document.createElement("canvas").getContext("webgl"));
 const atKeyframe = (keyframe) => ({
   keyframe, closure: null, place: state.place !== null && inPlace(keyframe, state.place) ? state.place : null,
 });
-const atPlace = (place) => ({ keyframe: worseOf(places[place].closest), place, closure: null });
+const atPlace = (place) => ({ keyframe: places[place].closest[1], place, closure: null });
 const atClosure = (closure) => ({ keyframe: closures[closure].keyframes[1], place: null, closure });
 
 /** The user's choice: shown in every view and kept in the address. */
 function choose(choice, options) {
-  const name = choice.place === null || choice.keyframe !== worseOf(places[choice.place].closest)
+  const name = choice.place === null || choice.keyframe !== places[choice.place].closest[1]
     ? `keyframe=${choice.keyframe}` : `place=${places[choice.place].rank}`;
   history.replaceState(null, "", `#${name}`);
   return show(choice, options);

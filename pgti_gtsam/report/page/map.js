@@ -80,7 +80,7 @@ function keyframeTrace() {
     marker: {
       size: markerSizes(), opacity: 1, ...markerColours(),
       symbol: values === null ? plain : Array.from(values, (s) => (s === Infinity ? "diamond" : plain)),
-      line: { color: theme().outline, width: keyframes.n <= 2000 ? 0.8 : 0 },
+      line: { color: theme().outline, width: values !== null && keyframes.n <= 2000 ? 0.8 : 0 },
     },
   };
 }

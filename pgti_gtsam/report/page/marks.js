@@ -38,8 +38,9 @@ function drawMarks() {
   const at = (keyframe) => project(keyframes.position[keyframe]);
   const spheres = byId("show-spheres").checked ? drawSpheres(at, colors) : 0;
   if (state.place !== null) drawPlace(at, colors, state.place);
-  if (state.closure !== null) drawClosure(at, colors, closures[state.closure]);
-  drawRing(at(state.keyframe), colors, keyframes.label[state.keyframe]);
+  const other = state.closure === null ? null : drawClosure(at, colors, closures[state.closure]);
+  const chosen = at(state.keyframe);
+  if (chosen !== null) drawRing(chosen, colors, keyframes.label[state.keyframe], other !== null && other.y < chosen.y);
   byId("marks").setAttribute("aria-label", marksInWords(spheres));
 }
 
@@ -117,25 +118,27 @@ function drawPlace(at, colors, k) {
   if (!tie.includes(null)) stroke(line(tie), colors.ink, 2, { rim: colors.panel });
 }
 
+/** A line and the end that is not chosen; returns where that is, or null. The flags point away from the line. */
 function drawClosure(at, colors, closure) {
-  const ends = closure.keyframes.map(at);
-  if (ends.includes(null)) return;
-  stroke(line(ends), closure.is_false ? colors.red : colors.link, 3, { rim: colors.panel });
-  const [other] = closure.keyframes.filter((i) => i !== state.keyframe);
-  if (other !== undefined) drawRing(at(other), colors, keyframes.label[other], 5);
+  const other = closure.keyframes.find((i) => i !== state.keyframe);
+  const [end, chosen] = [other, state.keyframe].map((i) => (i === undefined ? null : at(i)));
+  if (end === null || chosen === null) return null;
+  stroke(line([end, chosen]), closure.is_false ? colors.red : colors.link, 3, { rim: colors.panel });
+  drawRing(end, colors, keyframes.label[other], end.y >= chosen.y, 5);
+  return end;
 }
 
-/** A ring with its label on a flag above. */
-function drawRing(centre, colors, label, radius = 9) {
-  if (centre === null) return;
-  stroke(disc(centre, radius), colors.ink, 3, { rim: colors.panel });
+/** A ring with its label on a flag above, or below. */
+function drawRing({ x, y }, colors, label, below = false, radius = 9) {
+  stroke(disc({ x, y }, radius), colors.ink, 3, { rim: colors.panel });
   const text = label.length > 40 ? `${label.slice(0, 39)}…` : label;
   context.font = "12px system-ui, sans-serif";
   const width = context.measureText(text).width + 10;
-  const top = centre.y - radius - 30;
-  stroke(line([{ x: centre.x, y: centre.y - radius }, { x: centre.x, y: top + 19 }]), colors.ink, 1.5);
+  const toFlag = below ? 1 : -1;
+  const middle = y + toFlag * (radius + 20);
+  stroke(line([{ x, y: y + toFlag * (radius + 1) }, { x, y: middle }]), colors.ink, 1.5);
   context.fillStyle = colors.ink;
-  context.fillRect(centre.x - width / 2, top, width, 19);
+  context.fillRect(x - width / 2, middle - 9.5, width, 19);
   Object.assign(context, { fillStyle: colors.panel, textAlign: "center", textBaseline: "middle" });
-  context.fillText(text, centre.x, top + 10);
+  context.fillText(text, x, middle + 0.5);
 }

@@ -52,9 +52,6 @@ function overlapsOf(keyframe) {
   return found;
 }
 
-/** The keyframe of two with the larger ζ; of equals, the later. */
-const worseOf = ([i, j]) => (keyframes.score[i] > keyframes.score[j] ? i : j);
-
 /** Keyframes of a stretch [first, last] of track. */
 const stretch = ([first, last]) => Array.from({ length: last - first + 1 }, (_, k) => first + k);
 const stretchLabel = ([first, last]) =>

@@ -112,7 +112,7 @@ function describePlace(k) {
   const said = () => {
     const p = places[k];
     return `Place ${p.rank}: the two stretches run through the same space with probability ${probability(p.probability)}. ` +
-      `Allowance ${lengthOf(p.allowance_m)}, reach ${metres(p.reach_m)}. ${plural(p.edges.length, "overlap")} that a tie ` +
+      `Allowance ${lengthOf(p.allowance_m)}, reach ${lengthOf(p.reach_m)}. ${plural(p.edges.length, "overlap")} that a tie ` +
       `explains; gain ${short(p.gain)}. ζ up to ${short(p.score)}, mostly ${p.scale}; stable score ${short(p.stable_score)}.`;
   };
   byId("places-hint").textContent =
@@ -121,7 +121,7 @@ function describePlace(k) {
 }
 
 const rough = (value) => short(Number(value.toPrecision(2)));
-const lengthOf = (value) => (value === infinity ? "unbounded" : metres(value));
+const lengthOf = (value) => (value === infinity ? "unbounded" : `${rough(value)} m`);
 const closureLabel = ({ keyframes: [i, j] }) => `${keyframes.label[i]} – ${keyframes.label[j]}`;
 const isJudged = (closure) => closure.probability !== null;
 
@@ -141,7 +141,7 @@ function fillClosures(choose) {
     filled.tBodies[0].rows[k].addEventListener("click", () => choose(k));
   });
   byId("closures-table").replaceChildren(filled);
-  byId("found").classList.toggle("without-closures", rows.length === 0);
+  byId("found").classList.toggle("without-closures", places.length > 0 && closures.length === 0);
 }
 
 /** What the others say of the closure that is chosen. */
