@@ -153,11 +153,15 @@ function describeClosure(k) {
     `${closureLabel(closures[k])}: ${closures[k].sentence}`;
 }
 
-/** Mark one row of a table, or none. */
+/** Mark one row of a table, or none, and scroll the table, not the page, until the row is seen. */
 function markRow(id, k) {
   byId(id).querySelector("tr.chosen")?.classList.remove("chosen");
   const row = k === null ? null : byId(id).querySelector("tbody").rows[k];
-  row?.classList.add("chosen");
+  if (!row) return;
+  row.classList.add("chosen");
+  const [box, seen] = [byId(id), row].map((node) => node.getBoundingClientRect());
+  const head = byId(id).querySelector("thead").offsetHeight;
+  if (seen.top < box.top + head || seen.bottom > box.bottom) byId(id).scrollTop += seen.top - box.top - head;
 }
 
 function countTable(caption, counts, className = "") {
