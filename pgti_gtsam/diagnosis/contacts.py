@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.linalg import splu
+from scipy.spatial import KDTree
 from scipy.special import expit
 
 from pgti_gtsam.diagnosis import words
@@ -36,6 +37,9 @@ DECIDED = 0.75
 UNTIED = 1.0
 """Allowance of the drift, in what two spheres reach, beyond which overlaps that are explained are not tied. Of the
 explained overlaps of nine intact graphs none has more than 0.8."""
+
+CLEAR = 1.0
+"""Least reach of two spheres, in ρ, for which a tie near by is enough."""
 
 SAMPLED = 2000
 """Explained overlaps at most whose allowance is asked for: one for each neighbourhood on both stretches."""
@@ -75,8 +79,10 @@ class Contacts:
     collisions : list of Revisit
     far : (f, 2) int
         Explained overlaps of keyframes that are far apart on the track.
+    loose : (l, 2) int
+        Those of them that no tie near by holds together.
     near_by : Neighbourhoods
-        Of these.
+        Of the loose ones.
     """
 
     pose_graph: PoseGraph
@@ -86,6 +92,7 @@ class Contacts:
     settled: Settled
     collisions: list[Revisit]
     far: Pairs
+    loose: Pairs
     near_by: Neighbourhoods
 
     @classmethod
@@ -94,18 +101,19 @@ class Contacts:
         track, fusion = track_of(pose_graph), integrity.fusion_edges
         places, collisions = places_on(pose_graph, track), revisits(pose_graph, integrity, track)
         far = fusion[places[fusion[:, 1]] - places[fusion[:, 0]] > 2.0]
-        near_by = neighbourhoods(far, places, SAMPLED)
+        loose = far[~_tied_near_by(far, pose_graph.radii, model, closures.settled.active)]
+        near_by = neighbourhoods(loose, places, SAMPLED)
         closest = np.array([each.closest for each in collisions], dtype=np.int64).reshape(-1, 2)
-        active = np.ones(len(model.ties.pairs), dtype=bool)
-        active[closures.ties[closures.is_false]] = False
+        asked = np.concatenate([closest, loose[near_by.first]])
         return cls(
             pose_graph=pose_graph,
             integrity=integrity,
             track=track,
             closures=closures,
-            settled=model.settled(active, np.concatenate([closest, far[near_by.first]]), closures.settled),
+            settled=closures.settled.asked(asked),
             collisions=collisions,
             far=far,
+            loose=loose,
             near_by=near_by,
         )
 
@@ -153,17 +161,17 @@ class Contacts:
 
     def _untied_passes(self) -> list[Place]:
         """Explained overlaps between which the drift allows more than the spheres reach."""
-        sampled, cell_of = self.far[self.near_by.first], self.near_by.cell_of
+        sampled, cell_of = self.loose[self.near_by.first], self.near_by.cell_of
         reach = self.pose_graph.radii[sampled].sum(axis=1)
         allowed = self.settled.allowances_m(sampled) * self.closures.drift_scale
         excess = np.divide(allowed, reach, out=np.zeros_like(reach), where=reach > 0)
-        loose = np.flatnonzero((excess > UNTIED)[cell_of])
-        groups = neighbourhoods(self.far[loose], places_on(self.pose_graph, self.track), SAMPLED).group_of
+        untied = np.flatnonzero((excess > UNTIED)[cell_of])
+        groups = neighbourhoods(self.loose[untied], places_on(self.pose_graph, self.track), SAMPLED).group_of
         found = []
         for group in range(groups.max(initial=-1) + 1):
-            own = loose[groups == group]
+            own = untied[groups == group]
             loosest = sampled[cell_of[own][np.argmax(excess[cell_of[own]])]]
-            contact = revisit(self.pose_graph, self.track, self.far[own], tied_at=loosest)
+            contact = revisit(self.pose_graph, self.track, self.loose[own], tied_at=loosest)
             found.append(self._place("untied second pass", contact, self.integrity.fusion))
         return found
 
@@ -173,9 +181,9 @@ class Contacts:
         if fusion.score < NOTABLE_FUSION or not len(self.far):
             return []
         peak = int(np.argmax(fusion.stable_scores[self.far].max(axis=1)))
-        own = self.far[self.near_by.group_of == self.near_by.group_of[peak]]
-        sample = self.far[self.near_by.first[self.near_by.cell_of[peak]]]
-        return [self._place("incomplete fusion", revisit(self.pose_graph, self.track, own, tied_at=sample), fusion)]
+        group_of = neighbourhoods(self.far, places_on(self.pose_graph, self.track), SAMPLED).group_of
+        contact = revisit(self.pose_graph, self.track, self.far[group_of == group_of[peak]])
+        return [self._place("incomplete fusion", contact, fusion)]
 
     def _place(self, kind: Kind, contact: Revisit, distortion: Distortion) -> Place:
         """Numbers first, then the words that they make."""
@@ -188,8 +196,8 @@ class Contacts:
             stable_score=float(distortion.stable_scores[worst]),
             worst=worst,
             scale=_scale(distortion, worst),
-            probability=self._probability(contact),
-            allowance_m=self._allowance_m(contact.closest),
+            probability=1.0 if kind == "incomplete fusion" else self._probability(contact),
+            allowance_m=0.0 if kind == "incomplete fusion" else self._allowance_m(contact.closest),
             reach_m=self._reach_m(contact.closest),
             gain=_gain(len(self.pose_graph), self._explained(), contact.closest),
             sentence="",
@@ -235,6 +243,23 @@ class Contacts:
             sigma_deg=float(np.degrees(turn_rad)),
             search_m=SEARCH * shift_m,
         )
+
+
+def _tied_near_by(
+    overlaps: Pairs, radii: NDArray[np.float64], model: DriftModel, active: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
+    """Overlaps with a tie between the two stretches so near on both that the drift to it does not matter, (k,).
+
+    A unit of way along the track is five keyframes or 5 ρ. From a tie at that distance on both stretches a position is
+    off by √(0.125² + (5 · 0.075)² + 2 · (0.03² · 5 + 0.03² · 5³ / 3)) = 0.5 ρ, and so by less than spheres that reach
+    farther than `CLEAR`.
+    """
+    along, pairs = model.along, model.ties.pairs[active]
+    across = pairs[np.abs(along[pairs[:, 1]] - along[pairs[:, 0]]) > 1.0]
+    if not len(across) or not len(overlaps):
+        return np.zeros(len(overlaps), dtype=bool)
+    distances, _ = KDTree(along[across]).query(along[overlaps], p=np.inf)
+    return np.asarray((distances <= 1.0) & (radii[overlaps].sum(axis=1) >= CLEAR * model.unit_m))
 
 
 def _scale(distortion: Distortion, keyframe: int) -> Literal["local", "global"]:

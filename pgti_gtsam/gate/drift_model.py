@@ -29,10 +29,12 @@ from pgti_gtsam.errors import UnsolvableGraphError
 from pgti_gtsam.gate.evidence import free_space_unit
 from pgti_gtsam.gate.ties import Ties, ties_of, variances_of
 from pgti_gtsam.gate.trial import optimised
+from pgti_gtsam.places import places_on
 from pgti_gtsam.pose_graph import PoseGraph
 from pgti_gtsam.spectral.block_inverse import BlockFactor, factorise, inverse_blocks, solve
 from pgti_gtsam.spectral.elimination_tree import EliminationTree, analyse
 from pgti_gtsam.spectral.laplacian import connected_components
+from pgti_gtsam.track import track_of
 
 ANCHOR = 1e-4
 """Standard deviation in ρ and rad of the pose that each part of the map is held at. No relative pose depends on it; a
@@ -64,12 +66,15 @@ class DriftModel:
     ties : Ties
     held : (n,) bool
         Keyframes whose position a factor of one variable holds.
+    along : (n,) float
+        Coordinate of every keyframe along its track, as `places_on` has it.
     """
 
     unit_m: float
     poses: tuple[Any, ...]
     ties: Ties
     held: NDArray[np.bool_]
+    along: Array
 
     @property
     def is_planar(self) -> bool:
@@ -209,6 +214,10 @@ class Settled:
     residuals: Array
     factor: BlockFactor
 
+    def asked(self, pairs: NDArray[np.int64]) -> Settled:
+        """The same optimum, of which more relative poses can be asked."""
+        return self.model.settled(self.active, pairs, self)
+
     def covariances(self, pairs: NDArray[np.int64]) -> Array:
         """Covariance of the pose of j seen from i, in the tangent space of j: (k, d, d), NaN where no tie leads."""
         i, j = pairs.T
@@ -246,20 +255,52 @@ class Settled:
         A tie that pulls at nothing misses by its residual. Where no other tie leads, the covariance is NaN.
         """
         ties = self.model.ties
-        roots = np.sqrt(ties.variances)
         spread = self.covariances(ties.pairs)
-        scaled = np.nan_to_num(spread / (roots[:, :, None] * roots[:, None, :]), nan=0.0)
-        rest, axes = np.linalg.eigh(np.eye(roots.shape[1]) - scaled)
-        gain = 1 / np.clip(rest, LEAST_REST, 1.0)  # S⁻¹ in units of R, along the axes
-        missed = (
-            roots * (axes @ (gain[:, :, None] * (axes.swapaxes(1, 2) @ (self.residuals / roots)[:, :, None])))[:, :, 0]
-        )
-        others = roots[:, :, None] * (axes * (gain - 1)[:, None, :] @ axes.swapaxes(1, 2)) * roots[:, None, :]
+        missed, others = _predicted(self.residuals, np.sqrt(ties.variances), np.nan_to_num(spread, nan=0.0))
         others[self._alone()] = np.nan
         return (
             np.where(self.active[:, None], missed, self.residuals),
             np.where(self.active[:, None, None], others, spread),
         )
+
+    def left_out_together(self, groups: Sequence[NDArray[np.int64]]) -> list[tuple[Array, Array]]:
+        """By how much the ties of each group miss what all others predict, (g, d), and its covariance, (g d, g d).
+
+        Relative poses between all keyframes of a group must have been asked for.
+        """
+        ties = self.model.ties
+        ends = [ties.pairs[group].reshape(-1) for group in groups]
+        squares = [np.stack(np.meshgrid(own, own, indexing="ij"), -1).reshape(-1, 2) for own in ends]
+        blocks = inverse_blocks(self.factor, np.concatenate([np.empty((0, 2), dtype=np.int64), *squares]))
+        parts = np.split(blocks, np.cumsum([len(square) for square in squares])[:-1]) if groups else []
+        found = []
+        for group, part in zip(groups, parts, strict=True):
+            missed, others = _predicted(
+                self.residuals[group].reshape(1, -1),
+                np.sqrt(ties.variances[group]).reshape(1, -1),
+                self._relative(group, part)[None],
+            )
+            found.append((missed.reshape(len(group), -1), others[0]))
+        return found
+
+    def _relative(self, group: NDArray[np.int64], blocks: Array) -> Array:
+        """Joint covariance of a group's relative poses, (g d, g d), from that of its ends."""
+        g, d = len(group), blocks.shape[1]
+        whole = blocks.reshape(2 * g, 2 * g, d, d).transpose(0, 2, 1, 3).reshape(2 * g * d, 2 * g * d)
+        jacobian, own = np.zeros((g, d, g, 2, d)), np.arange(g)
+        jacobian[own, :, own, 0] = -_adjoints(self.poses, self.model.ties.pairs[group])
+        jacobian[own, :, own, 1] = np.eye(d)
+        flat = jacobian.reshape(g * d, 2 * g * d)
+        return np.asarray(flat @ whole @ flat.T)
+
+
+def _predicted(residuals: Array, roots: Array, spread: Array) -> tuple[Array, Array]:
+    """R S⁻¹ r and R S⁻¹ R − R with S = R − C, of (k, d) residuals r, roots of R and (k, d, d) covariances C."""
+    rest, axes = np.linalg.eigh(np.eye(roots.shape[1]) - spread / (roots[:, :, None] * roots[:, None, :]))
+    gain = 1 / np.clip(rest, LEAST_REST, 1.0)  # S⁻¹ in units of R, along the axes
+    along = axes.swapaxes(1, 2) @ (residuals / roots)[:, :, None]
+    missed = roots * (axes @ (gain[:, :, None] * along))[:, :, 0]
+    return missed, roots[:, :, None] * (axes * (gain - 1)[:, None, :] @ axes.swapaxes(1, 2)) * roots[:, None, :]
 
 
 def drift_model(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, pose_graph: PoseGraph) -> DriftModel:
@@ -281,7 +322,11 @@ def drift_model(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, pose_gr
     unit, keyframes = free_space_unit(pose_graph), read_keyframes(values)
     poses = _alike([_pose(keyframes, int(key)) for key in pose_graph.keys])
     return DriftModel(
-        unit_m=unit, poses=poses, ties=ties_of(graph, pose_graph, poses, unit), held=_held(graph, keyframes.index)
+        unit_m=unit,
+        poses=poses,
+        ties=ties_of(graph, pose_graph, poses, unit),
+        held=_held(graph, keyframes.index),
+        along=places_on(pose_graph, track_of(pose_graph)),
     )
 
 

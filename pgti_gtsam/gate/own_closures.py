@@ -10,7 +10,9 @@ the rest is looked at again, and what fits the rest after all is let in again.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +21,7 @@ from scipy.stats import chi2
 
 from pgti_gtsam.gate.drift_model import DriftModel, Settled
 from pgti_gtsam.gate.ties import OFFSET, OFFSET_RAD
+from pgti_gtsam.places import neighbourhoods
 
 NEAR, NEAR_RAD = 0.5, 0.25
 """Standard deviation of a match of places, in ρ and in rad. It misses by less than the free space, and ties what
@@ -33,6 +36,9 @@ PRIOR = float(np.log(19))
 POOREST = 10.0
 """Most by which the odometry's variance may exceed the model's. Nine of ten maps stay far below the model, and the one
 that does not, MIT with wheels that slip, exceeds it by 8."""
+
+TOGETHER = 8
+"""Most closures of a revisit that are weighed as one."""
 
 MAX_ROUNDS = 30
 """Times that the rest is looked at again. Each takes out at least all that are half as improbable as the worst."""
@@ -97,22 +103,31 @@ def own_closures(model: DriftModel) -> OwnClosures:
     """
     closures, active = model.ties.closures, np.ones(len(model.ties.pairs), dtype=bool)
     returned = np.zeros(len(closures), dtype=bool)
-    settled = model.settled(active)
-    for n_rounds in range(MAX_ROUNDS):
-        settled = model.settled(active, start=settled) if n_rounds else settled
+    groups = _revisits(model)
+    asked = np.concatenate(
+        [np.empty((0, 2), dtype=np.int64), *(_all_pairs(model.ties.pairs[group]) for group in groups)]
+    )
+    settled = model.settled(active, asked)
+    for n_rounds in range(MAX_ROUNDS):  # noqa: B007  the last one is a result
+        # what the others say of each, and of each revisit
         missed, others = settled.left_out()
         held = closures[active[closures]]
         poorer = _poorer(model, missed[held], others[held])
         odds = log_odds(model, missed[closures], poorer * others[closures])
-        condemned = active[closures] & (odds < 0)
-        if condemned.any():
-            active[closures[condemned & (odds <= odds[condemned].min() / 2)]] = False
-            continue
+        together = _together(settled, [group[active[group]] for group in groups], odds, poorer)
+
+        # take out the worst, or let in again what fits after all
+        worst = np.fmin(odds, together)
+        condemned = active[closures] & (worst < 0)
         acquitted = ~active[closures] & (odds > 0) & ~returned
-        if not acquitted.any():
+        if condemned.any():
+            active[closures[condemned & (worst <= worst[condemned].min() / 2)]] = False
+        elif acquitted.any():
+            active[closures[acquitted]] = True
+            returned |= acquitted
+        else:
             break
-        active[closures[acquitted]] = True
-        returned |= acquitted
+        settled = model.settled(active, asked, settled)
     own = model.translation
     turned = np.delete(missed[closures], np.arange(missed.shape[1])[own], axis=1)
     squares = np.linalg.eigvalsh(np.nan_to_num(poorer * others[closures][:, own, own], nan=0.0))
@@ -129,6 +144,51 @@ def own_closures(model: DriftModel) -> OwnClosures:
         n_rounds=n_rounds,
         settled=settled,
     )
+
+
+def _revisits(model: DriftModel) -> list[NDArray[np.int64]]:
+    """Ties of closures that say the same: those of one revisit, two to `TOGETHER` of them."""
+    closures = model.ties.closures
+    group_of = neighbourhoods(model.ties.pairs[closures], model.along).group_of
+    order = np.argsort(group_of, kind="stable")
+    found = np.split(closures[order], np.flatnonzero(np.diff(group_of[order])) + 1)
+    return [group for group in found if 2 <= len(group) <= TOGETHER]
+
+
+def _all_pairs(pairs: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Every two of the keyframes in some pairs."""
+    keyframes = np.unique(pairs)
+    i, j = np.triu_indices(len(keyframes), 1)
+    return np.stack([keyframes[i], keyframes[j]], axis=1)
+
+
+def _together(settled: Settled, groups: list[NDArray[np.int64]], odds: Array, poorer: float) -> Array:
+    """Log odds of every closure by what all but its revisit say of the revisit; NaN where the revisit does not agree.
+
+    False closures of one revisit predict each other. So the revisit is weighed as a whole, against one false offset
+    that all its members share, wherever each member by itself passes for true.
+    """
+    model = settled.model
+    row = np.full(len(model.ties.pairs), -1)
+    row[model.ties.closures] = np.arange(len(odds))
+    found = np.full(len(odds), np.nan)
+    agreeing = [group for group in groups if len(group) >= 2 and (odds[row[group]] > 0).all()]
+    for group, (missed, others) in zip(agreeing, settled.left_out_together(agreeing), strict=True):
+        found[row[group]] = _log_odds_of_one(model, group, settled.poses, missed, poorer * others)
+    return found
+
+
+def _log_odds_of_one(
+    model: DriftModel, group: NDArray[np.int64], poses: Sequence[Any], missed: Array, others: Array
+) -> float:
+    """Log odds that the members of a revisit are true, against one false offset of all."""
+    later = model.ties.pairs[group][:, 1].tolist()
+    near = np.tile(model.variances(NEAR, NEAR_RAD), len(group))
+    moved = np.vstack([poses[j].between(poses[later[0]]).AdjointMap() for j in later])
+    is_true = others + np.diag(near)
+    flat = missed.reshape(1, -1)
+    is_false = is_true + moved @ model.spread @ moved.T
+    return float(PRIOR + log_normal(flat, is_true[None])[0] - log_normal(flat, is_false[None])[0])
 
 
 def _poorer(model: DriftModel, missed: Array, others: Array) -> float:
@@ -159,7 +219,9 @@ def log_odds(model: DriftModel, missed: Array, others: Array) -> Array:
 
 
 def log_normal(x: Array, covariances: Array) -> Array:
-    """log N(x; 0, C), (k,), of (k, d) vectors and (k, d, d) covariances."""
+    """log N(x; 0, C), (k,), of (k, d) vectors and (k, d, d) covariances; NaN where a covariance is."""
+    known: Any = np.isfinite(covariances).all(axis=(1, 2))
+    covariances = np.where(known[:, None, None], covariances, np.eye(x.shape[1]))
     _, log_determinants = np.linalg.slogdet(covariances)
     squares = np.einsum("ka,ka->k", x, np.linalg.solve(covariances, x[:, :, None])[:, :, 0])
-    return np.asarray(-0.5 * (squares + log_determinants + x.shape[1] * np.log(2 * np.pi)))
+    return np.where(known, -0.5 * (squares + log_determinants + x.shape[1] * np.log(2 * np.pi)), np.nan)

@@ -1,0 +1,37 @@
+"""Chosen blocks of an inverse, compared with the whole dense inverse."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pgti_gtsam.spectral.block_inverse import factorise, inverse_blocks, solve
+from pgti_gtsam.spectral.elimination_tree import analyse
+
+
+@settings(derandomize=True, deadline=None, max_examples=80)
+@given(st.integers(1, 60), st.integers(0, 120), st.sampled_from([1, 3, 6]), st.integers(0, 2**32 - 1))
+def test_blocks_and_solutions_are_those_of_the_dense_inverse(n, m, d, seed):
+    rng = np.random.default_rng(seed)
+    pairs = rng.integers(0, n, (m, 2))
+    pairs = pairs[pairs[:, 0] != pairs[:, 1]]  # some occur twice, and in both directions
+    blocks = rng.normal(size=(len(pairs), d, d))
+    dense = np.zeros((n, n, d, d))
+    np.add.at(dense, (pairs[:, 0], pairs[:, 1]), blocks)
+    np.add.at(dense, (pairs[:, 1], pairs[:, 0]), blocks.swapaxes(1, 2))
+    matrix = dense.transpose(0, 2, 1, 3).reshape(n * d, n * d)
+    heavy = np.abs(matrix).sum(axis=1).max() + 1
+    diagonal = np.tile(heavy * np.eye(d), (n, 1, 1))
+    matrix += heavy * np.eye(n * d)
+    inverse = np.linalg.inv(matrix)
+    factor = factorise(analyse(n, np.unique(np.sort(pairs, axis=1), axis=0)), diagonal, pairs, blocks)
+    asked = np.concatenate([pairs, pairs[:, ::-1], np.c_[np.arange(n), np.arange(n)]])
+    expected = inverse.reshape(n, d, n, d).transpose(0, 2, 1, 3)[asked[:, 0], asked[:, 1]]
+    np.testing.assert_allclose(inverse_blocks(factor, asked), expected, atol=1e-12)
+    b = rng.normal(size=(n, d))
+    np.testing.assert_allclose(solve(factor, b).ravel(), inverse @ b.ravel(), atol=1e-12)
+
+
+def test_a_singular_matrix_is_refused():
+    with pytest.raises(np.linalg.LinAlgError):
+        factorise(analyse(2, np.array([[0, 1]])), np.zeros((2, 3, 3)), np.array([[0, 1]]), np.zeros((1, 3, 3)))

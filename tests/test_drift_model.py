@@ -1,0 +1,150 @@
+"""The drift model: closed forms on a chain, covariances as GTSAM has them, left-out residuals as leaving out gives them."""
+
+import gtsam
+import numpy as np
+import pytest
+import streets
+
+import pgti_gtsam as pgti
+from pgti_gtsam.gate.drift_model import ANCHOR, drift_model
+from pgti_gtsam.gate.own_closures import own_closures
+from pgti_gtsam.gate.ties import DRIFT, OFFSET
+
+RADIUS = 2.0
+
+
+def model_of(world, closures=()):
+    """The drift model of a driven world with closures, at its optimum."""
+    graph = gtsam.NonlinearFactorGraph(world.graph)
+    for closure in closures:
+        graph.push_back(closure)
+    values = optimum(graph, world.values)
+    return drift_model(graph, values, pgti.from_gtsam(graph, values, radii=RADIUS))
+
+
+def optimum(graph, values):
+    first = next(iter(values.keys()))
+    held = gtsam.NonlinearFactorGraph(graph)
+    planar = gtsam.utilities.allPose2s(values).size() > 0
+    prior, pose = (gtsam.PriorFactorPose2, values.atPose2) if planar else (gtsam.PriorFactorPose3, values.atPose3)
+    held.push_back(prior(first, pose(first), gtsam.noiseModel.Isotropic.Sigma(3 if planar else 6, 1e-3)))
+    return gtsam.LevenbergMarquardtOptimizer(held, values).optimize()
+
+
+def test_a_straight_chain_drifts_as_white_steps_do():
+    n, step = 40, streets.STEP
+    model = model_of(streets.driven(streets.straight(n * step)))
+    pairs = np.array([[0, k] for k in range(1, n + 1)])
+    found = model.settled(asked=pairs).covariances(pairs)
+    k = np.arange(1, n + 1)
+    square = DRIFT**2 * step / model.unit_m
+    np.testing.assert_allclose(found[:, 0, 0], k * square * model.unit_m**2, rtol=1e-6)  # along the way
+    np.testing.assert_allclose(found[:, 2, 2], k * square, rtol=1e-6)  # heading
+    across = k * square * model.unit_m**2 + square * step**2 * (k - 1) * k * (2 * k - 1) / 6
+    np.testing.assert_allclose(found[:, 1, 1], across, rtol=1e-6)
+
+
+@pytest.mark.parametrize("steps", [streets.block(40, 2), streets.ramp(12, 3, 3)], ids=["planar", "in space"])
+def test_covariances_are_those_of_gtsams_bayes_tree(steps):
+    world = streets.driven(steps, noise=0.002, seed=3)
+    ends = [(0, len(steps) // 2), (3, len(steps) - 2)]
+    model = model_of(world, [world.closure(*pair) for pair in ends])
+    asked = np.array([[1, len(steps) - 5], [7, 9], [20, 5]])
+    settled = model.settled(asked=asked)
+    d, graph, values = len(model.spread), gtsam.NonlinearFactorGraph(), gtsam.Values()
+    kinds = (gtsam.BetweenFactorPose2, gtsam.PriorFactorPose2) if model.is_planar else (
+        gtsam.BetweenFactorPose3, gtsam.PriorFactorPose3)  # fmt: skip
+    for (i, j), variances in zip(model.ties.pairs.tolist(), model.ties.variances, strict=True):
+        exact = settled.poses[i].between(settled.poses[j])  # without a residual GTSAM's Jacobians are ours
+        graph.push_back(kinds[0](i, j, exact, gtsam.noiseModel.Diagonal.Variances(variances)))
+    graph.push_back(kinds[1](0, settled.poses[0], gtsam.noiseModel.Diagonal.Variances(model.variances(ANCHOR, ANCHOR))))
+    for i, pose in enumerate(settled.poses):
+        values.insert(i, pose)
+    tree = graph.linearize(values).eliminateMultifrontal(gtsam.Ordering.OrderingType.COLAMD, gtsam.EliminateQR)
+    for (i, j), found in zip(asked.tolist(), settled.covariances(asked), strict=True):
+        joint = tree.jointMarginalCovariance([i, j])
+        both = np.block([[joint.at(a, b) for b in (i, j)] for a in (i, j)])
+        jacobian = np.hstack([-settled.poses[j].between(settled.poses[i]).AdjointMap(), np.eye(d)])
+        np.testing.assert_allclose(found, jacobian @ both @ jacobian.T, rtol=1e-5, atol=1e-7)
+
+
+def test_what_a_tie_misses_is_what_the_map_without_it_predicts():
+    world = streets.driven(streets.block(40, 2), bias=2e-4, noise=0.002, seed=1)
+    n = len(world.truth)
+    closures = [world.closure(i, i + n // 2) for i in range(2, 40, 9)]
+    model = model_of(world, closures)
+    settled = model.settled()
+    missed, others = settled.left_out()
+    for k in model.ties.closures.tolist():
+        active = np.ones(len(model.ties.pairs), dtype=bool)
+        active[k] = False
+        without = model.settled(active, start=settled)
+        expected = without.covariances(model.ties.pairs[k : k + 1])[0]
+        scale = np.sqrt(np.outer(expected.diagonal(), expected.diagonal()))
+        np.testing.assert_allclose(others[k] / scale, expected / scale, atol=0.02)  # linearised elsewhere
+        np.testing.assert_allclose(missed[k], without.residuals[k], atol=0.02 * model.unit_m)
+
+
+def test_parts_that_no_tie_joins_may_lie_anywhere():
+    world = streets.driven(streets.straight(40))
+    graph = gtsam.NonlinearFactorGraph(world.graph)
+    graph.remove(10)
+    pose_graph = pgti.from_gtsam(graph, world.values, radii=RADIUS)
+    settled = drift_model(graph, world.values, pose_graph).settled(asked=np.array([[0, 20], [0, 5]]))
+    assert settled.allowances_m(np.array([[0, 20]]))[0] == np.inf
+    assert np.isfinite(settled.allowances_m(np.array([[0, 5]]))[0])
+
+
+def false_closure(world, i, j):
+    """Says that two keyframes are at one place."""
+    return world.closure(i, j, type(world.truth[0])())
+
+
+@pytest.mark.parametrize("steps", [streets.block(60, 2), streets.ramp(15, 3, 3)], ids=["planar", "in space"])
+@pytest.mark.parametrize("model_scale", [0.1, 1.0, 30.0])
+def test_a_false_closure_is_the_least_probable_whatever_sigmas_the_caller_told(steps, model_scale):
+    world = streets.driven(steps, bias=1e-4, noise=0.002, seed=2, model_scale=model_scale)
+    n = len(world.truth)
+    lap = len(steps) // (2 if world.graph.at(0).dim() == 3 else 3)
+    true = [world.closure(i, i + lap) for i in range(0, n - lap, 7)]
+    intact = own_closures(model_of(world, true))
+    assert not intact.is_false.any()
+    assert intact.probabilities.min() > 0.99
+    torn = own_closures(model_of(world, [*true, false_closure(world, 4, 4 + lap // 2)]))
+    assert torn.slots[torn.is_false].tolist() == [world.graph.size() + len(true)]
+    assert np.argmin(torn.log_odds) == len(true) or torn.slots[np.argmin(torn.log_odds)] == torn.slots.max()
+
+
+def test_false_closures_that_agree_are_found_together():
+    world = streets.driven(streets.block(60, 2), bias=1e-4, noise=0.002, seed=2)
+    n = len(world.truth)
+    true = [world.closure(i, i + n // 2) for i in range(0, n // 2, 5)]
+    false = [false_closure(world, 4 + k, 4 + k + n // 4) for k in range(3)]
+    found = own_closures(model_of(world, [*true, *false]))
+    first = world.graph.size() + len(true)
+    assert found.slots[found.is_false].tolist() == [first, first + 1, first + 2]
+    assert found.n_rounds >= 1
+
+
+def test_a_closure_that_alone_holds_two_parts_together_is_not_judged():
+    world = streets.driven(streets.straight(60))
+    graph = gtsam.NonlinearFactorGraph(world.graph)
+    graph.remove(10)
+    graph.push_back(world.closure(5, 20))
+    found = own_closures(drift_model(graph, world.values, pgti.from_gtsam(graph, world.values, radii=RADIUS)))
+    assert np.isnan(found.log_odds).all()
+    assert not found.is_false.any()
+
+
+def test_a_closure_is_granted_an_offset_and_near_misses():
+    world = streets.driven(streets.block(60, 2), noise=0.001, seed=5)
+    n = len(world.truth)
+    lap = n // 2
+    shifts = [0.5 * OFFSET, 0.5, 8.0]  # in ρ: a good match, a match of places, another place
+    for shift, is_false in zip(shifts, (False, False, True), strict=True):
+        off = world.truth[10].between(world.truth[10 + lap]).compose(gtsam.Pose2(shift * RADIUS, 0, 0))
+        closures = [world.closure(i, i + lap) for i in (2, 18, 30)] + [world.closure(10, 10 + lap, off)]
+        found = own_closures(model_of(world, closures))
+        assert found.is_false.tolist() == [False, False, False, is_false] or (
+            found.slots[found.is_false].tolist() == ([found.slots.max()] if is_false else [])
+        )
