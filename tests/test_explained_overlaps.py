@@ -30,9 +30,9 @@ def betti(n, edges, squares=()):
     for i, j in edges:
         complex_.insert([int(i), int(j)])
     complex_.expansion(2)
-    for i, k, l, j in squares:  # split by the diagonal from i to l
-        complex_.insert([i, k, l])
-        complex_.insert([i, l, j])
+    for i, k, m, j in squares:  # split by the diagonal from i to m
+        complex_.insert([i, k, m])
+        complex_.insert([i, m, j])
     complex_.compute_persistence(persistence_dim_max=True)
     return (complex_.betti_numbers() + [0, 0])[:2]
 
@@ -58,11 +58,11 @@ def test_what_rungs_explain_adds_no_loop_once_its_square_is_a_cell(seed, n, radi
     rails = {frozenset(pair) for pair in graph.edges[graph.edge_sources == ODOMETRY].tolist()}
     known = set(map(tuple, support.explained_edges.tolist()))
     squares = [
-        (i, k, l, j)
+        (i, k, m, j)
         for i, j in known
         for k in (i - 1, i + 1)
-        for l in (j - 1, j + 1)
-        if {frozenset((i, k)), frozenset((j, l))} <= rails and len({i, j, k, l}) == 4 and tuple(sorted((k, l))) in known
+        for m in (j - 1, j + 1)
+        if {frozenset((i, k)), frozenset((j, m))} <= rails and len({i, j, k, m}) == 4 and tuple(sorted((k, m))) in known
     ]
     assert betti(2 * n, known, squares)[1] <= betti(2 * n, graph.edges.tolist(), squares_of(graph, rails))[1]
 
@@ -71,11 +71,11 @@ def squares_of(graph, rails):
     """Squares of two odometry steps beside each other that the pose graph has itself."""
     own = set(map(tuple, graph.edges.tolist()))
     return [
-        (i, k, l, j)
+        (i, k, m, j)
         for i, j in own
         for k in (i - 1, i + 1)
-        for l in (j - 1, j + 1)
-        if {frozenset((i, k)), frozenset((j, l))} <= rails and len({i, j, k, l}) == 4 and tuple(sorted((k, l))) in own
+        for m in (j - 1, j + 1)
+        if {frozenset((i, k)), frozenset((j, m))} <= rails and len({i, j, k, m}) == 4 and tuple(sorted((k, m))) in own
     ]
 
 

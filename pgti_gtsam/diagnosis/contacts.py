@@ -76,6 +76,8 @@ class Contacts:
     closures : OwnClosures
     settled : Settled
         The drift model without the false closures.
+    predicted : dict from (int, int) to (d, d) float and float
+        Of every pair that a place is judged by: covariance of the relative pose, and the allowance in m.
     collisions : list of Revisit
     far : (f, 2) int
         Explained overlaps of keyframes that are far apart on the track.
@@ -90,6 +92,7 @@ class Contacts:
     track: Track
     closures: OwnClosures
     settled: Settled
+    predicted: dict[tuple[int, ...], tuple[NDArray[np.float64], float]]
     collisions: list[Revisit]
     far: Pairs
     loose: Pairs
@@ -105,12 +108,21 @@ class Contacts:
         near_by = neighbourhoods(loose, places, SAMPLED)
         closest = np.array([each.closest for each in collisions], dtype=np.int64).reshape(-1, 2)
         asked = np.concatenate([closest, loose[near_by.first]])
+        settled = closures.settled.asked(asked)
+        covariances = settled.covariances(asked) * closures.drift_scale**2
+        allowances = settled.allowances_m(covariances)
         return cls(
             pose_graph=pose_graph,
             integrity=integrity,
             track=track,
             closures=closures,
-            settled=closures.settled.asked(asked),
+            settled=settled,
+            predicted={
+                pair: (covariance, allowance)
+                for pair, covariance, allowance in zip(
+                    map(tuple, asked.tolist()), covariances, allowances.tolist(), strict=True
+                )
+            },
             collisions=collisions,
             far=far,
             loose=loose,
@@ -163,15 +175,17 @@ class Contacts:
         """Explained overlaps between which the drift allows more than the spheres reach."""
         sampled, cell_of = self.loose[self.near_by.first], self.near_by.cell_of
         reach = self.pose_graph.radii[sampled].sum(axis=1)
-        allowed = self.settled.allowances_m(sampled) * self.closures.drift_scale
+        allowed = np.array([self._allowance_m(tuple(pair)) for pair in sampled.tolist()])
         excess = np.divide(allowed, reach, out=np.zeros_like(reach), where=reach > 0)
         untied = np.flatnonzero((excess > UNTIED)[cell_of])
         groups = neighbourhoods(self.loose[untied], places_on(self.pose_graph, self.track), SAMPLED).group_of
+        passes = [untied[groups == group] for group in range(groups.max(initial=-1) + 1)]
+        passes.sort(key=lambda own: -excess[cell_of[own]].max())
         found = []
-        for group in range(groups.max(initial=-1) + 1):
-            own = untied[groups == group]
-            loosest = sampled[cell_of[own][np.argmax(excess[cell_of[own]])]]
-            contact = revisit(self.pose_graph, self.track, self.loose[own], tied_at=loosest)
+        for together in _by_later_stretch(passes, self.loose):
+            loosest = sampled[cell_of[together[0]][np.argmax(excess[cell_of[together[0]]])]]
+            resolved = self.loose[np.concatenate(together)]
+            contact = revisit(self.pose_graph, self.track, self.loose[together[0]], resolved, loosest)
             found.append(self._place("untied second pass", contact, self.integrity.fusion))
         return found
 
@@ -219,21 +233,19 @@ class Contacts:
         """E_e."""
         return np.concatenate([self.pose_graph.edges, self.integrity.fusion_edges])
 
-    def _allowance_m(self, pair: tuple[int, int]) -> float:
-        return float(self.settled.allowances_m(np.array([pair]))[0] * self.closures.drift_scale)
+    def _allowance_m(self, pair: tuple[int, ...]) -> float:
+        return self.predicted[pair][1]
 
     def _reach_m(self, pair: tuple[int, int]) -> float:
         return float(self.pose_graph.radii[list(pair)].sum())
 
     def _proposal(self, pair: tuple[int, int]) -> Proposal | None:
-        covariance = self.settled.covariances(np.array([pair]))[0] * self.closures.drift_scale**2
+        covariance, shift_m = self.predicted[pair]
         if np.isnan(covariance).any():
             return None
         own = np.arange(len(covariance))[self.settled.model.translation]
         turn = np.setdiff1d(np.arange(len(covariance)), own)
-        shift_m, turn_rad = (
-            float(np.sqrt(np.linalg.eigvalsh(covariance[np.ix_(part, part)])[-1])) for part in (own, turn)
-        )
+        turn_rad = float(np.sqrt(np.linalg.eigvalsh(covariance[np.ix_(turn, turn)])[-1]))
         first, second = (self.settled.poses[k] for k in pair)
         return Proposal(
             keyframes=pair,
@@ -243,6 +255,27 @@ class Contacts:
             sigma_deg=float(np.degrees(turn_rad)),
             search_m=SEARCH * shift_m,
         )
+
+
+def _by_later_stretch(passes: list[NDArray[np.int64]], overlaps: Pairs) -> list[list[NDArray[np.int64]]]:
+    """Passes that one tie holds: a pass runs beside several earlier ones, and a tie to one of them holds it to all.
+
+    Passes are given and grouped loosest first. One joins a group if at least half of the shorter of the two later
+    stretches is common to both; that earlier passes are tied to each other is what other groups are about.
+    """
+    groups: list[list[NDArray[np.int64]]] = []
+    ranges: list[tuple[int, int]] = []
+    for own in passes:
+        low, high = int(overlaps[own, 1].min()), int(overlaps[own, 1].max())
+        for group, (first, last) in zip(groups, ranges, strict=True):
+            common = min(high, last) - max(low, first) + 1
+            if 2 * common >= min(high - low, last - first) + 1:
+                group.append(own)
+                break
+        else:
+            groups.append([own])
+            ranges.append((low, high))
+    return groups
 
 
 def _tied_near_by(

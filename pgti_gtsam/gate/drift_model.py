@@ -221,7 +221,8 @@ class Settled:
     def covariances(self, pairs: NDArray[np.int64]) -> Array:
         """Covariance of the pose of j seen from i, in the tangent space of j: (k, d, d), NaN where no tie leads."""
         i, j = pairs.T
-        own, other, cross = (inverse_blocks(self.factor, np.stack(ends, 1)) for ends in ((i, i), (j, j), (i, j)))
+        ends = np.concatenate([np.stack(each, axis=1) for each in ((i, i), (j, j), (i, j))])
+        own, other, cross = inverse_blocks(self.factor, ends).reshape(3, len(pairs), *self.model.spread.shape)
         carry = _adjoints(self.poses, pairs)
         mixed = carry @ cross
         found = carry @ own @ carry.swapaxes(1, 2) + other - mixed - mixed.swapaxes(1, 2)
@@ -229,12 +230,19 @@ class Settled:
         found = axes * np.maximum(values, 0.0)[:, None, :] @ axes.swapaxes(1, 2)
         return np.where((self.component[i] == self.component[j])[:, None, None], found, np.nan)
 
-    def allowances_m(self, pairs: NDArray[np.int64]) -> Array:
-        """Standard deviation, m, of the relative position of i and j along its least certain axis: (k,)."""
+    def allowances_m(self, covariances: Array) -> Array:
+        """Standard deviation, m, of relative positions along their least certain axis, (k,); infinite where unknown.
+
+        Parameters
+        ----------
+        covariances : (k, d, d) float
+            As `covariances` gives them.
+        """
         own = self.model.translation
-        squares = np.linalg.eigvalsh(np.nan_to_num(self.covariances(pairs)[:, own, own], nan=0.0))[:, -1]
-        i, j = pairs.T
-        return np.where(self.component[i] == self.component[j], np.sqrt(np.maximum(squares, 0.0)), np.inf)
+        blocks = covariances[:, own, own]
+        unknown: Any = np.isnan(blocks).any(axis=(1, 2))
+        squares = np.linalg.eigvalsh(np.where(unknown[:, None, None], 0.0, blocks))[:, -1]
+        return np.where(unknown, np.inf, np.sqrt(np.maximum(squares, 0.0)))
 
     def _alone(self) -> NDArray[np.int64]:
         """Active closures without which the map would fall apart."""

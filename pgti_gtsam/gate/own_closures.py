@@ -210,18 +210,20 @@ def log_odds(model: DriftModel, missed: Array, others: Array) -> Array:
     others : (k, d, d) float
         Covariance of that prediction; NaN where there is none, and then the log odds are NaN.
     """
+    known = np.isfinite(others).all(axis=(1, 2))
+    found = np.full(len(missed), np.nan)
+    missed, others = missed[known], others[known]
     exact, near = (np.diag(model.variances(*sigmas)) for sigmas in ((OFFSET, OFFSET_RAD), (NEAR, NEAR_RAD)))
     is_true = np.logaddexp(
         np.log(1 - NEAR_SHARE) + log_normal(missed, others + exact),
         np.log(NEAR_SHARE) + log_normal(missed, others + near),
     )
-    return np.asarray(PRIOR + is_true - log_normal(missed, others + near + model.spread))
+    found[known] = PRIOR + is_true - log_normal(missed, others + near + model.spread)
+    return found
 
 
 def log_normal(x: Array, covariances: Array) -> Array:
-    """log N(x; 0, C), (k,), of (k, d) vectors and (k, d, d) covariances; NaN where a covariance is."""
-    known: Any = np.isfinite(covariances).all(axis=(1, 2))
-    covariances = np.where(known[:, None, None], covariances, np.eye(x.shape[1]))
+    """log N(x; 0, C), (k,), of (k, d) vectors and (k, d, d) covariances."""
     _, log_determinants = np.linalg.slogdet(covariances)
     squares = np.einsum("ka,ka->k", x, np.linalg.solve(covariances, x[:, :, None])[:, :, 0])
-    return np.where(known, -0.5 * (squares + log_determinants + x.shape[1] * np.log(2 * np.pi)), np.nan)
+    return np.asarray(-0.5 * (squares + log_determinants + x.shape[1] * np.log(2 * np.pi)))

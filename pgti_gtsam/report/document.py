@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from pgti_gtsam.diagnosis.records import ClosureFinding, Diagnosis, Place, Proposal
 from pgti_gtsam.diagnosis.sweep import Swept, fragile
-from pgti_gtsam.integrity import BetaSplit, Distortion, Integrity
+from pgti_gtsam.integrity import BetaSplit, Distortion
 from pgti_gtsam.optimality import GraphOptimality
 from pgti_gtsam.pose_graph import key_label
 
@@ -89,7 +89,7 @@ def audit_document(
             "collisions": integrity.collision_edges.tolist(),
         },
         "times": integrity.times.tolist(),
-        "signatures": _signatures(integrity),
+        "signatures": _signatures(diagnosis),
     }
 
 
@@ -226,8 +226,12 @@ def _closure(rank: int, closure: ClosureFinding) -> Document:
     }
 
 
-def _signatures(integrity: Integrity) -> Document:
-    chosen = np.sort(np.argsort(-integrity.keyframe_scores, kind="stable")[:MAX_SIGNATURES])
+def _signatures(diagnosis: Diagnosis) -> Document:
+    """Of the keyframes with the largest ζ, and of those that places are about."""
+    integrity = diagnosis.integrity
+    worst = np.argsort(-integrity.keyframe_scores, kind="stable")[:MAX_SIGNATURES]
+    named = [k for place in diagnosis.places for k in (*place.revisit.closest, place.worst)]
+    chosen = np.union1d(worst, np.array(named, dtype=np.int64))
     return {
         "keyframes": chosen.tolist(),
         "pose_graph": _packed(integrity.signatures_pose_graph[chosen]),

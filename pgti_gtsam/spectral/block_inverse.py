@@ -90,17 +90,23 @@ def inverse_blocks(factor: BlockFactor, pairs: IntArray) -> FloatArray:
     found = np.empty((len(pairs), d, d))
     pending: dict[int, FloatArray] = {}
     children = tree.children()
-    for k in range(tree.n_supernodes - 1, -1, -1):
+    needed = set(tree.closure(tree.positions[np.unique(pairs)]).tolist())
+    for k in sorted(needed, reverse=True):
         # the inverse on the rows, which the parent knows, gives the inverse on the pivots
         inverse, coupling = factor.inverses[k], factor.couplings[k]
-        rest = pending.pop(k, np.empty((0, 0)))
+        rest, cut = pending.pop(k, np.empty((0, 0))), len(inverse)
+        whole = np.empty((cut + len(rest), cut + len(rest)))
         cross = coupling @ rest
-        whole = np.block([[inverse + cross @ coupling.T, -cross], [-cross.T, rest]])
+        whole[:cut, :cut] = inverse + cross @ coupling.T
+        whole[:cut, cut:] = -cross
+        whole[cut:, :cut] = -cross.T
+        whole[cut:, cut:] = rest
 
         # hand on what the children need, and take the blocks that were asked for
         front = _blocks(whole, d)
         for child, into in children[k]:
-            pending[child] = _flat(front[np.ix_(into, into)])
+            if child in needed:
+                pending[child] = _flat(front[np.ix_(into, into)])
         own, i, j = entries.at(k)
         found[own] = front[i, j]
     return found
