@@ -141,17 +141,19 @@ def outliers_in_standard_graphs(
 def known_damage(
     data: Annotated[Path | None, typer.Option(help="Folder with the real graphs; worlds only without.")] = None,
     names: Annotated[str, typer.Option("--worlds", help="Which, between commas.")] = ",".join(LAYOUTS),
-    seeds: Annotated[str, typer.Option(help="Seeds of the drives, between commas.")] = ",".join(map(str, range(15))),
-    covisible_seeds: Annotated[str, typer.Option(help="Seeds of the maps with landmarks.")] = "0,1,2",
+    seeds: Annotated[str, typer.Option(help="Seeds of the drives, between commas.")] = "0,1,2,3,4,5,6,7",
+    undamaged: Annotated[str, typer.Option(help="Seeds of maps without damage.")] = ",".join(map(str, range(15))),
+    covisible: Annotated[str, typer.Option(help="Seeds of maps with landmarks.")] = "0",
     scheduler: Annotated[str | None, typer.Option(help="Address of a Dask scheduler; a local cluster without.")] = None,
     out: Annotated[Path, typer.Option(help="A JSON line a case; known ones are kept.")] = RESULTS / "diagnosis.jsonl",
 ) -> None:
-    """Maps with known damage, diagnosed: verdicts against the truth, kinds of places, false closures. 20 minutes."""
+    """Maps with known damage, diagnosed: verdicts against the truth, kinds of places, false closures. Half an hour."""
     wanted = _names(names)
     unknown = sorted(set(wanted) - set(LAYOUTS))
     if unknown:
         raise InvalidOptionError(f"expected worlds from {', '.join(LAYOUTS)}, got {', '.join(unknown)}")
-    cases = list(diagnosis_trials.world_trials(wanted, _whole_numbers(seeds), _whole_numbers(covisible_seeds)))
+    drawn = (_whole_numbers(text) for text in (seeds, undamaged, covisible))
+    cases = list(diagnosis_trials.world_trials(wanted, *drawn))
     cases += diagnosis_trials.real_trials() if data is not None else []
     rows = diagnosis_sweep.run(out, cases, data, scheduler, tell=print)
     for line in diagnosis_tables.report(rows):

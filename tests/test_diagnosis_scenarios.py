@@ -86,7 +86,9 @@ def test_the_list_names_the_command():
 
 @needs_open3d
 def test_a_row_and_a_map_of_every_damage(tmp_path):
-    wanted = [trial for trial in trials.world_trials(["streets"], [1000], []) if trial.damage != "false closures"]
+    wanted = [
+        trial for trial in trials.world_trials(["streets"], [1000], [1000], []) if trial.damage != "false closures"
+    ]
     rows = [trials.row(trial, None) for trial in wanted]
     assert all("failed" not in row for row in rows)
     assert {row["expected"] for row in rows} <= set(tables.EXPECTED)

@@ -22,8 +22,8 @@ SPARSE, COVISIBLE, REAL = "sparse", "covisible", "real"
 FALSE_SEEDS, DROPPED_SEEDS = 20, 5
 """False closures and dropped revisits that are drawn in every real graph."""
 
-LARGE = ("manhattan_olson3500",)
-"""Graphs of which a diagnosis takes minutes: a quarter of the draws."""
+LARGE = ("intel", "fr079", "manhattan_olson3500")
+"""Graphs of which a diagnosis takes ten seconds and more: a quarter of the draws."""
 
 
 class Trial(NamedTuple):
@@ -35,19 +35,25 @@ class Trial(NamedTuple):
     damage: str
 
 
-def world_trials(worlds: Sequence[str], seeds: Sequence[int], covisible_seeds: Sequence[int]) -> Iterator[Trial]:
-    """Every damage in every world."""
-    yield from (Trial(world, seed, SPARSE, kind) for seed, world, kind in product(seeds, worlds, damage.DAMAGES))
+def world_trials(
+    worlds: Sequence[str], seeds: Sequence[int], undamaged_seeds: Sequence[int], covisible_seeds: Sequence[int]
+) -> Iterator[Trial]:
+    """Every damage in every world; more maps without."""
+    for seed, world, kind in product(sorted({*seeds, *undamaged_seeds}), worlds, damage.DAMAGES):
+        if seed in (undamaged_seeds if kind == damage.NOTHING else seeds):
+            yield Trial(world, seed, SPARSE, kind)
     for seed, world, kind in product(covisible_seeds, worlds, covisible.DAMAGES):
         yield Trial(world, seed, COVISIBLE, kind)
 
 
-def real_trials() -> Iterator[Trial]:
-    """Every damage of every real graph, drawn anew where there is something to draw."""
+def real_trials() -> list[Trial]:
+    """Every damage of every real graph, drawn anew where there is something to draw; the slow ones last."""
     draws = {damage.FALSE: FALSE_SEEDS, damage.DROPPED: DROPPED_SEEDS}
+    found = []
     for name, kind in product(real.RADII, real.DAMAGES):
         n_draws = draws.get(kind, 1)
-        yield from (Trial(name, seed, REAL, kind) for seed in range(-(-n_draws // 4) if name in LARGE else n_draws))
+        found += [Trial(name, seed, REAL, kind) for seed in range(-(-n_draws // 4) if name in LARGE else n_draws)]
+    return sorted(found, key=lambda trial: (trial.world in LARGE, trial.seed))
 
 
 def case(trial: Trial, data: Path | None) -> Case:
