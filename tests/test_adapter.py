@@ -207,7 +207,7 @@ def test_covisibility_connects_those_who_share_enough_landmarks():
         values.insert(L(k), np.array([k, 5.0, 0]))
     adapted = pgti.from_gtsam(graph_of(*factors), values)
     assert adapted.edges.tolist() == [[0, 1]]
-    assert adapted.edge_sources.tolist() == [pgti.EdgeSource.COVISIBILITY]
+    assert adapted.edge_sources.tolist() == [pgti.EdgeSource.COVISIBILITY | pgti.EdgeSource.ODOMETRY]
     assert adapted.adaptation.max_shared_landmarks == 15
     assert pgti.from_gtsam(graph_of(*factors), values, min_shared_landmarks=16).edges.tolist() == []
     assert pgti.from_gtsam(graph_of(*factors), values, min_shared_landmarks=1).edges.tolist() == [

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from gtsam.symbol_shorthand import X
 
-from pgti_gtsam import cli
+from pgti_gtsam import cli, datasets
 
 SQUARE = """VERTEX_SE2 0 0 0 0
 VERTEX_SE2 1 5 0 1.57
@@ -54,15 +54,49 @@ def test_without_a_file_kitti_00_is_audited(run, tmp_path):
     assert document["adaptation"]["n_landmarks"] == 26136
     assert document["adaptation"]["n_observations"] == 88781
     assert 5 < document["summary"]["n_inserted_edges"] < 20
-    assert document["summary"]["verdict"]["text"].split(";")[0] in " ".join(out.split())
+    assert document["verdict"]["level"] == "consistent"
+    assert document["verdict"]["text"] in " ".join(out.split())
+    assert document["places"] == []
     assert page.stat().st_size > 1_000_000
 
 
-def test_a_gap_in_the_square_is_named(run, square):
-    code, out, _ = run("audit", square, "--radius", 0.3)
+def test_a_second_pass_that_nothing_ties_is_named_and_proposed(run, square, tmp_path):
+    code, out, _ = run("audit", square, "--radius", 0.3, "--proposals", tmp_path / "ties.g2o")
     assert code == 0
-    assert "broken" in out
-    assert "0, 4" in out  # the keyframes in contact
+    assert out.startswith("square: ")
+    assert "4 passes through 0 again" in out
+    proposed = datasets.read(tmp_path / "ties.g2o")
+    assert list(proposed.graph.at(0).keys()) == [0, 4]
+
+
+def test_the_optimum_is_audited_where_that_is_asked_for(run, tmp_path):
+    stale = SQUARE.replace("VERTEX_SE2 2 5 5 3.14", "VERTEX_SE2 2 9 5 3.14")
+    (tmp_path / "stale.g2o").write_text(stale)
+    _, as_stored, _ = run("audit", tmp_path / "stale.g2o", "--radius", 0.3)
+    assert as_stored.startswith("The estimate is no optimum")
+    assert "--optimise" in as_stored
+    _, best, _ = run("audit", tmp_path / "stale.g2o", "--radius", 0.3, "--optimise")
+    assert best.startswith("stale: ")
+    assert "the optimum is audited" in best
+
+
+def test_the_radius_is_taken_from_closures_and_tried_smaller_and_larger(run, square, tmp_path):
+    code, _, err = run("audit", square, "--radius", "auto")
+    assert code == 2
+    assert "closures" in err
+    tied = tmp_path / "tied.g2o"
+    tied.write_text(SQUARE + "EDGE_SE2 0 4 0 0.5 0 1 0 0 1 0 1\n")
+    found = tmp_path / "found.json"
+    code, out, _ = run("audit", tied, "--radius", "auto", "--radius-sweep", "--json", found)
+    assert code == 0
+    assert "the median distance of keyframes that closures tie" in " ".join(out.split())
+    rows = json.loads(found.read_text())["radius_sweep"]["rows"]
+    assert [row["factor"] for row in rows] == [0.25, 0.5, 1.0, 2.0, 4.0]
+
+
+@pytest.mark.parametrize(("level", "code"), [("incomplete", 1), ("inconsistent", 0)])
+def test_a_map_fails_from_the_verdict_on_that_is_asked_for(run, square, level, code):
+    assert run("audit", square, "--radius", 0.3, "--fail-on", level)[0] == code
 
 
 @pytest.mark.parametrize(("limit", "code"), [(100, 0), (1e-3, 1)])
@@ -83,7 +117,7 @@ def test_an_archived_graph_gives_what_the_library_gives(run, tmp_path):
     found = tmp_path / "found.json"
     command = ("audit", tmp_path / "graph.txt", "--values", tmp_path / "values.txt", "--radius", 0.51, "--json", found)
     assert run(*command)[0] == 0
-    assert json.loads(found.read_text())["edges"]["inserted"] == [[0, 5]]
+    assert json.loads(found.read_text())["edges"]["collisions"] == [[0, 5]]
 
 
 SCRIPT = "<script>alert(1)</script>"
@@ -122,6 +156,10 @@ def test_a_bad_file_ends_with_one_line_and_code_2_and_stays_as_it_was(run, tmp_p
         (["audit", "SQUARE"], "--radius"),
         (["audit", "SQUARE", "--radius", "-1"], "-1"),
         (["audit", "SQUARE", "--radius", "nan"], "nan"),
+        (["audit", "SQUARE", "--radius", "two"], "auto"),
+        (["audit", "SQUARE", "--radius", "1", "--fail-above", "nan"], "nan"),
+        (["audit", "SQUARE", "--radius", "1", "--fail-on", "bad"], "inconsistent"),
+        (["audit", "SQUARE", "--radius", "1", "--proposals", "SQUARE"], "input"),
         (["audit", "SQUARE", "--radius", "1", "--beta", "1"], "beta"),
         (["audit", "SQUARE", "--radius", "1", "--min-shared-landmarks", "0"], "min_shared_landmarks"),
         (["audit", "SQUARE", "--radius", "1", "--edges", "loops"], "loops"),

@@ -26,9 +26,9 @@ def document(planar):
     score[0], score[-1] = "infinite", 0.8
     place = {"keyframes": [0, n - 1]}
     return {
-        "schema": "pgti-gtsam/audit", "schema_version": 1, "input": {"name": "ring"}, "places": [place],
+        "schema": "pgti-gtsam/audit", "schema_version": 2, "input": {"name": "ring"}, "places": [place],
         "keyframes": {"position": positions.tolist(), "radius": [1.5] * n, "score": score},
-        "edges": {"pose_graph": [[i, i + 1] for i in range(n - 1)], "inserted": [[0, n - 1]]},
+        "edges": {"pose_graph": [[i, i + 1] for i in range(n - 1)], "collisions": [[0, n - 1]]},
     }  # fmt: skip
 
 
@@ -77,7 +77,7 @@ def test_spheres_of_the_worst_places_are_translucent(tmp_path):
 def test_maps_of_one_place_are_drawn(n, tmp_path):
     audit = document(True)
     audit["keyframes"] = {"position": [[7.0, 7.0, 0.0]] * n, "radius": [0.0] * n, "score": [0.0] * n}
-    audit["edges"] = {"pose_graph": [[0, 1]][: n - 1], "inserted": [[0, 1]][: n - 1]}
+    audit["edges"] = {"pose_graph": [[0, 1]][: n - 1], "collisions": [[0, 1]][: n - 1]}
     audit["places"] = [{"keyframes": [0]}]
     assert share(drawn(audit, tmp_path, width=60, height=40), VIOLET) > 0
 

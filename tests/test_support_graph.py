@@ -7,8 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import pgti_gtsam as pgti
-from pgti_gtsam.track import track_edges
 from pgti_gtsam.support_graph import overlapping_spheres, support_graph
+from pgti_gtsam.track import track_edges
 
 SETTINGS = settings(derandomize=True, deadline=None, max_examples=150)
 

@@ -69,7 +69,7 @@ def gate(
             dataset.graph,
             dataset.values,
             radii,
-            gate=_gate(edges, min_shared_landmarks or MIN_SHARED_LANDMARKS),
+            gate=_gate(edges, min_shared_landmarks),
             progress=lambda done, of: tell("judging closures", done, of),
         )
         measured = _scores(gated.decisions, tell) if scores else None
@@ -115,7 +115,7 @@ def closures(
             dataset.graph,
             dataset.values,
             radii,
-            gate=_gate(edges, min_shared_landmarks or MIN_SHARED_LANDMARKS),
+            gate=_gate(edges, min_shared_landmarks),
             progress=lambda done, of: tell("judging closures", done, of),
         )
         records = decision_records(judged, _ends(dataset, judged), true_closures=dataset.true_closures)
@@ -145,8 +145,9 @@ def closures(
     _print_paths({"JSON": json}, console)
 
 
-def _gate(edges: str | None, min_shared_landmarks: int) -> LoopClosureGate:
-    return LoopClosureGate(options=GateOptions(edges=split_names(edges), min_shared_landmarks=min_shared_landmarks))
+def _gate(edges: str | None, min_shared_landmarks: int | None) -> LoopClosureGate:
+    shared = MIN_SHARED_LANDMARKS if min_shared_landmarks is None else min_shared_landmarks
+    return LoopClosureGate(options=GateOptions(edges=split_names(edges), min_shared_landmarks=shared))
 
 
 def _ends(dataset: Dataset, slots: Any) -> dict[int, list[int]]:

@@ -62,9 +62,11 @@ def audit(case: str, data: Path) -> list[Row]:
     watch.look("spectra")
     compare_optimality(pose_graph, support, kernels)
     watch.look("optimality")
-    integrity = pgti.assess(pose_graph)
+    pgti.assess(pose_graph)
     watch.look("all of assess")
-    audit_document(pose_graph, integrity, name=case, file_format="", notes=(), options={})
+    found = pgti.diagnose(dataset.graph, dataset.values, radii=radii)
+    watch.look("all of diagnose")
+    audit_document(found, name=case, file_format="")
     watch.look("document")
     sizes = {"case": case, "n_keyframes": len(pose_graph), "n_factors": dataset.graph.size()}
     return [{**sizes, "part": part, "seconds": seconds} for part, seconds in watch.seconds.items()]
