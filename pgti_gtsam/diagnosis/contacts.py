@@ -141,7 +141,7 @@ class Contacts:
         probability = self._probability(contact)
         if self._is_gap(contact):
             kind = "tracking gap"
-        elif self.closures.is_false.any() and not self._stays(contact):
+        elif self._is_folded(contact):
             kind = "likely false closure"
         elif probability >= DECIDED:
             kind = "missed closure"
@@ -156,20 +156,30 @@ class Contacts:
         same_sensor = keys[i] >> np.uint64(56) == keys[j] >> np.uint64(56)
         return bool((same_sensor & (chain[i] != chain[j]) & (j - i <= 2 * WINDOW)).any())
 
-    def _stays(self, contact: Revisit) -> bool:
-        """Whether the stretches touch without the false closures too."""
+    def _is_folded(self, contact: Revisit) -> bool:
+        """Whether the stretches touch only with the false closures."""
+        if not self.closures.is_false.any():
+            return False
         i, j = contact.edges.T
         places = np.array([pose.translation() for pose in self.settled.poses])
         reach = self.pose_graph.radii[i] + self.pose_graph.radii[j]
-        return bool((np.linalg.norm(places[i] - places[j], axis=1) <= reach).any())
+        return not (np.linalg.norm(places[i] - places[j], axis=1) <= reach).any()
 
     def _probability(self, contact: Revisit) -> float:
         """Probability that the two stretches run through the same space; a half where no tie leads between them."""
         allowance, reach = self._allowance_m(contact.closest), self._reach_m(contact.closest)
         if not np.isfinite(allowance) or reach == 0:
             return 0.5
-        length, drift = max(min(contact.lengths_m) / reach, SHORTEST), max(allowance / reach, LEAST_DRIFT)
+        length, drift = max(self._length_m(contact) / reach, SHORTEST), max(allowance / reach, LEAST_DRIFT)
         return float(expit(CONTACT[0] + CONTACT[1] * np.log(length) + CONTACT[2] * np.log(drift)))
+
+    def _length_m(self, contact: Revisit) -> float:
+        """Length of the shorter stretch, with the explained overlaps that run on from the contact on both stretches."""
+        along, way = self.settled.model.along, self.track.way_m
+        together = np.concatenate([contact.edges, self.loose])
+        group_of = neighbourhoods(together, along).group_of
+        own = together[np.isin(group_of, np.unique(group_of[: len(contact.edges)]))]
+        return float(np.ptp(way[own], axis=0).min())
 
     def _untied_passes(self) -> list[Place]:
         """Explained overlaps between which the drift allows more than the spheres reach."""
@@ -186,7 +196,8 @@ class Contacts:
             loosest = sampled[cell_of[together[0]][np.argmax(excess[cell_of[together[0]]])]]
             resolved = self.loose[np.concatenate(together)]
             contact = revisit(self.pose_graph, self.track, self.loose[together[0]], resolved, loosest)
-            found.append(self._place("untied second pass", contact, self.integrity.fusion))
+            kind: Kind = "likely false closure" if self._is_folded(contact) else "untied second pass"
+            found.append(self._place(kind, contact, self.integrity.fusion))
         return found
 
     def _fusion(self) -> list[Place]:
