@@ -1,4 +1,4 @@
-"""What the audit finds on the field's graphs: places that their makers did not tie, and nothing on those that are tied."""
+"""What the audit finds on well-known graphs: passes that nobody tied, and nothing on those that are tied."""
 
 from pathlib import Path
 

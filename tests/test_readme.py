@@ -66,8 +66,9 @@ def test_the_library_calls():
             values.insert(key, new.atPose2(key))
     names = {"graph": graph, "values": values}
     with pytest.raises(pgti.PgtiError, match="radius"):
-        exec(block("from_gtsam(graph, values)"), names)
+        exec(block("diagnose(graph, values)"), names)
     for i in range(61):
         graph.push_back(gtsam.RangeFactor2D(i, gtsam.symbol("l", i), 0.5, gtsam.noiseModel.Unit.Create(1)))
-    exec(block("from_gtsam(graph, values)"), names)
+    exec(block("diagnose(graph, values)"), names)
+    assert names["diagnosis"].verdict == "incomplete"
     assert [0, 60] in names["integrity"].inserted_edges.tolist()  # the square closes, and no edge says so

@@ -18,7 +18,8 @@ from pgti_gtsam.adapter import from_gtsam
 from pgti_gtsam.diagnosis import words
 from pgti_gtsam.diagnosis.contacts import Contacts
 from pgti_gtsam.diagnosis.records import ClosureFinding, Diagnosis, Place, Proposal
-from pgti_gtsam.estimate import convergence
+from pgti_gtsam.errors import UnsolvableGraphError
+from pgti_gtsam.estimate import Convergence, convergence
 from pgti_gtsam.gate.drift_model import drift_model
 from pgti_gtsam.gate.own_closures import OwnClosures, own_closures
 from pgti_gtsam.integrity import assess
@@ -54,7 +55,7 @@ def diagnose(
     Raises
     ------
     UnsolvableGraphError
-        The graph is singular.
+        Odometry and closures are so far apart in scale that their information is singular to rounding.
     PgtiError
         Those of `from_gtsam` and `assess`.
     """
@@ -62,7 +63,7 @@ def diagnose(
     pose_graph = from_gtsam(graph, values, radii=radii, edges=edges, min_shared_landmarks=min_shared_landmarks)
 
     progress("checking the estimate")
-    step = convergence(graph, values)
+    step = _convergence(graph, values)
 
     progress(f"spectra of {len(pose_graph)} keyframes")
     integrity = assess(pose_graph, beta=beta)
@@ -86,6 +87,13 @@ def diagnose(
         unit_m=model.unit_m,
         n_chains=track_of(pose_graph).n_chains,
     )
+
+
+def _convergence(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> Convergence | None:
+    try:
+        return convergence(graph, values)
+    except UnsolvableGraphError:  # a landmark without a value, say, which the audit does without
+        return None
 
 
 def _findings(closures: OwnClosures) -> tuple[ClosureFinding, ...]:

@@ -154,7 +154,7 @@ class Diagnosis:
     pose_graph : PoseGraph
     integrity : Integrity
     convergence : Convergence or None
-        None where the factor graph is singular at the estimate.
+        None where no step can be tried: the factor graph is singular, or a landmark has no value.
     unit_m : float
         ρ, the median of the positive radii.
     n_chains : int
@@ -167,6 +167,6 @@ class Diagnosis:
     closures: tuple[ClosureFinding, ...]
     pose_graph: PoseGraph
     integrity: Integrity
-    convergence: Convergence
+    convergence: Convergence | None
     unit_m: float
     n_chains: int

@@ -101,9 +101,8 @@ def _tie(proposal: Any, labels: Sequence[str]) -> str:
     if proposal is None:
         return "Match them; nothing predicts where."
     i, j = (labels[k] for k in proposal.keyframes)
-    return (
-        f"Tie {i} and {j}: match them within {_metres(proposal.search_m)} and {3 * proposal.sigma_deg:.0f}° of the map."
-    )
+    angle = min(3 * proposal.sigma_deg, 180.0)
+    return f"Match {i} with {j} within {_metres(proposal.search_m)} and {angle:.0f}° of the map, and tie them."
 
 
 def _metres(length: float) -> str:

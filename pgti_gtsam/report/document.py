@@ -115,8 +115,10 @@ def write_json(document: Mapping[str, Any], path: Path) -> None:
     path.write_text(json.dumps(document, allow_nan=False, ensure_ascii=False) + "\n", encoding="utf-8")
 
 
-def _estimate(diagnosis: Diagnosis) -> Document:
+def _estimate(diagnosis: Diagnosis) -> Document | None:
     step = diagnosis.convergence
+    if step is None:
+        return None
     return {
         "error": step.error,
         "error_after_step": step.error_after,

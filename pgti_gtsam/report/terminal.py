@@ -48,7 +48,7 @@ def _heading(document: Mapping[str, Any]) -> RenderableType:
     title = Text.assemble(
         (document["input"]["name"], "bold"), ": ", (judged["level"], f"bold {_COLOURS[judged['level']]}")
     )
-    if estimate["is_optimum"]:
+    if estimate is None or estimate["is_optimum"]:
         return Group(title, Text(judged["text"]))
     label = document["keyframes"]["label"][estimate["keyframe"]]
     stale = (
@@ -111,6 +111,8 @@ def _warnings(document: Mapping[str, Any]) -> list[str]:
             f"no two keyframes share {adaptation['min_shared_landmarks']} landmarks, so covisibility connects none; "
             f"the most that two share is {adaptation['max_shared_landmarks']} (--min-shared-landmarks)"
         )
+    if document["estimate"] is None:
+        lines.append("whether the estimate is an optimum could not be tried: the factor graph is singular there")
     if summary["n_components_pose_graph"] > 1:
         lines.append(
             f"the pose graph falls into {summary['n_components_pose_graph']} parts, "
