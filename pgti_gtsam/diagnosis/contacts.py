@@ -176,12 +176,12 @@ class Contacts:
     def _length_m(self, contact: Revisit) -> float:
         """Length of the shorter stretch of the pass that a contact is part of.
 
-        Overlaps that go on within ten keyframes or 10 ρ on both stretches, explained or not, are of the same pass: where
-        the spheres are small for a while, its contact is in pieces.
+        Overlaps that go on within ten keyframes or 10 ρ on both stretches, explained or not, are of the same pass,
+        whose contact is in pieces where the spheres are small for a while.
         """
         along, way = self.settled.model.along, self.track.way_m
         together = np.concatenate([contact.edges, self.loose, self.integrity.collision_edges])
-        group_of = neighbourhoods(together, along / 2).group_of
+        group_of = neighbourhoods(together, along / 4).group_of
         own = together[np.isin(group_of, np.unique(group_of[: len(contact.edges)]))]
         return float(np.ptp(way[own], axis=0).min())
 
