@@ -10,13 +10,12 @@ from typing import Annotated
 import typer
 
 from pgti_gtsam.errors import InvalidOptionError, PgtiError
-from scenarios import kitti, worlds
+from scenarios import kitti, sweep, worlds
 from scenarios import scans as scan_graphs
 from scenarios import speed as speed_experiment
-from scenarios.aliasing import figure, maps, sweep, tables, trials
+from scenarios.aliasing import figure, maps, tables, trials
 from scenarios.aliasing.methods import METHODS
 from scenarios.diagnosis import maps as diagnosed_maps
-from scenarios.diagnosis import sweep as diagnosis_sweep
 from scenarios.diagnosis import tables as diagnosis_tables
 from scenarios.diagnosis import trials as diagnosis_trials
 from scenarios.worlds.layouts import LAYOUTS
@@ -95,7 +94,7 @@ def look_alike_worlds(
     if unknown:
         raise InvalidOptionError(f"expected worlds from {', '.join(LAYOUTS)}, got {', '.join(unknown)}")
     numbers = _whole_numbers(seeds)
-    rows = sweep.run(out, list(trials.world_trials(wanted, numbers)), scheduler, limit, tell=print)
+    rows = sweep.run(out, list(trials.world_trials(wanted, numbers)), trials.row, scheduler, print, limit_s=limit)
     figure.draw(rows, out.with_suffix(".png"))
     maps.draw([worlds.problem(name, numbers[0]) for name in wanted], out.with_name(out.stem + "_maps.png"))
     even = [row for row in rows if row["share"] == 1.0]
@@ -126,7 +125,7 @@ def outliers_in_standard_graphs(
     if unknown:
         raise InvalidOptionError(f"expected methods from {', '.join(METHODS)}, got {', '.join(unknown)}")
     wanted = list(trials.field_trials(paths, _whole_numbers(seeds), _names(names)))
-    rows = sweep.run(out, wanted, scheduler, limit, tell=print)
+    rows = sweep.run(out, wanted, trials.row, scheduler, print, limit_s=limit)
     for name in _names(graphs):
         own = [row for row in rows if row["world"] == name]
         random = [row for row in own if row["setting"] == "random"]
@@ -141,9 +140,11 @@ def outliers_in_standard_graphs(
 def known_damage(
     data: Annotated[Path | None, typer.Option(help="Folder with the real graphs; worlds only without.")] = None,
     names: Annotated[str, typer.Option("--worlds", help="Which, between commas.")] = ",".join(LAYOUTS),
-    seeds: Annotated[str, typer.Option(help="Seeds of the drives, between commas.")] = "0,1,2,3,4,5,6,7",
-    undamaged: Annotated[str, typer.Option(help="Seeds of maps without damage.")] = ",".join(map(str, range(15))),
-    covisible: Annotated[str, typer.Option(help="Seeds of maps with landmarks.")] = "0",
+    seeds: Annotated[str, typer.Option(help="Seeds of the drives, between commas.")] = ",".join(
+        map(str, range(30, 38))
+    ),
+    undamaged: Annotated[str, typer.Option(help="Seeds of maps without damage.")] = ",".join(map(str, range(30, 45))),
+    covisible: Annotated[str, typer.Option(help="Seeds of maps with landmarks.")] = "30",
     scheduler: Annotated[str | None, typer.Option(help="Address of a Dask scheduler; a local cluster without.")] = None,
     out: Annotated[Path, typer.Option(help="A JSON line a case; known ones are kept.")] = RESULTS / "diagnosis.jsonl",
 ) -> None:
@@ -155,7 +156,7 @@ def known_damage(
     drawn = (_whole_numbers(text) for text in (seeds, undamaged, covisible))
     cases = list(diagnosis_trials.world_trials(wanted, *drawn))
     cases += diagnosis_trials.real_trials() if data is not None else []
-    rows = diagnosis_sweep.run(out, cases, data, scheduler, tell=print)
+    rows = sweep.run(out, cases, diagnosis_trials.row, scheduler, print, data=data)
     for line in diagnosis_tables.report(rows):
         print(line)
     described = out.with_name(out.stem + "_maps.json")

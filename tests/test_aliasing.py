@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from optional import needs_open3d
 
-from scenarios import measures, worlds
-from scenarios.aliasing import field, figure, maps, methods, sweep, tables, trials
+from scenarios import measures, sweep, worlds
+from scenarios.aliasing import field, figure, maps, methods, tables, trials
 from scenarios.aliasing.helper import Helper
 from scenarios.aliasing.trials import Trial
 from scenarios.problem import space
@@ -156,11 +156,11 @@ def test_a_method_that_takes_too_long_is_given_up_and_the_next_one_answers():
 def test_known_rows_are_kept_a_torn_one_is_run_again_and_all_is_drawn(tmp_path, monkeypatch):
     wanted = [Trial("warehouse", 1001, "right", 1.0, name) for name in ("no gate", "Cauchy")]
     path = tmp_path / "rows.jsonl"
-    first = sweep.run(path, wanted, None, 60.0, lambda _: None)
+    first = sweep.run(path, wanted, trials.row, None, lambda _: None, limit_s=60.0)
     lines = path.read_text().splitlines()
     assert len(lines) == 2
     path.write_text(lines[0] + "\n" + lines[1][: len(lines[1]) // 2])
-    again = sweep.run(path, wanted, None, 60.0, lambda _: None)
+    again = sweep.run(path, wanted, trials.row, None, lambda _: None, limit_s=60.0)
     assert path.read_text().splitlines()[0] == lines[0]
     assert len(path.read_text().splitlines()) == 2
     timeless = [[{k: v for k, v in row.items() if "seconds" not in k} for row in rows] for rows in (first, again)]

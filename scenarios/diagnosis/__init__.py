@@ -4,5 +4,5 @@
    graphs are taken at their optimum (`real`).
 2. The map is damaged (`damage`) and optimised.
 3. The truth says what the verdict should be (`expectation`), whatever the damage is called.
-4. One row of numbers a case (`trials`, `sweep`), tables and maps from those (`tables`, `maps`).
+4. One row of numbers a case (`trials`, run by `scenarios.sweep`), tables and maps from those (`tables`, `maps`).
 """
