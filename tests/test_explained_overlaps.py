@@ -164,3 +164,17 @@ def test_fusion_and_collisions_are_what_assess_finds_on_their_graphs(pose_graph)
     )
     np.testing.assert_array_equal(found.collisions.keyframe_scores, pgti.assess(explained).keyframe_scores)
     assert len(found.fusion_edges) + len(found.collision_edges) == len(found.inserted_edges)
+
+
+def test_where_covisibility_is_dense_collisions_are_all_that_the_paper_counts():
+    """A way that crosses itself by drift, each keyframe covisible with the next seventeen, as in the paper's Table 4."""
+    angle = np.linspace(0.2, 2 * np.pi - 0.2, 200)
+    loop = 40 * np.c_[1 - np.cos(angle), np.sin(angle)]
+    positions = np.concatenate([loop, loop[-1] + np.outer(np.arange(1, 60), [0.1, 1.2])])
+    i, gap = np.meshgrid(np.arange(len(positions)), np.arange(1, 18), indexing="ij")
+    edges = np.stack([i.ravel(), (i + gap).ravel()], axis=1)
+    edges = edges[edges[:, 1] < len(positions)]
+    found = pgti.assess(pgti.PoseGraph(keys=range(len(positions)), positions=positions, edges=edges, radii=0.8))
+    assert len(found.collision_edges) == len(found.inserted_edges) > 0
+    np.testing.assert_array_equal(found.collisions.keyframe_scores, found.keyframe_scores)
+    assert found.fusion.score == 0
