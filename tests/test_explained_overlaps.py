@@ -167,7 +167,7 @@ def test_fusion_and_collisions_are_what_assess_finds_on_their_graphs(pose_graph)
 
 
 def test_where_covisibility_is_dense_collisions_are_all_that_the_paper_counts():
-    """A way that crosses itself by drift, each keyframe covisible with the next seventeen, as in the paper's Table 4."""
+    """A way that crosses itself by drift; each keyframe shares landmarks with the next seventeen, as in Table 4."""
     angle = np.linspace(0.2, 2 * np.pi - 0.2, 200)
     loop = 40 * np.c_[1 - np.cos(angle), np.sin(angle)]
     positions = np.concatenate([loop, loop[-1] + np.outer(np.arange(1, 60), [0.1, 1.2])])
