@@ -78,6 +78,9 @@ class Contacts:
         The drift model without the false closures.
     predicted : dict from (int, int) to (d, d) float and float
         Of every pair that a place is judged by: covariance of the relative pose, and the allowance in m.
+    pass_codes, pass_lengths_m : (c,) int, (c,) float
+        All overlaps (i, j) of `collisions` and `loose` as i n + j, ascending, and the length of the shorter stretch of
+        the pass that each is part of: see `_pass_lengths`.
     collisions : list of Revisit
     far : (f, 2) int
         Explained overlaps of keyframes that are far apart on the track.
@@ -93,6 +96,8 @@ class Contacts:
     closures: OwnClosures
     settled: Settled
     predicted: dict[tuple[int, ...], tuple[NDArray[np.float64], float]]
+    pass_codes: NDArray[np.int64]
+    pass_lengths_m: NDArray[np.float64]
     collisions: list[Revisit]
     far: Pairs
     loose: Pairs
@@ -111,6 +116,7 @@ class Contacts:
         settled = closures.settled.asked(asked)
         covariances = settled.covariances(asked) * closures.drift_scale**2
         allowances = settled.allowances_m(covariances)
+        codes, lengths = _pass_lengths(np.concatenate([integrity.collision_edges, loose]), track, model.along)
         return cls(
             pose_graph=pose_graph,
             integrity=integrity,
@@ -123,6 +129,8 @@ class Contacts:
                     map(tuple, asked.tolist()), covariances, allowances.tolist(), strict=True
                 )
             },
+            pass_codes=codes,
+            pass_lengths_m=lengths,
             collisions=collisions,
             far=far,
             loose=loose,
@@ -133,6 +141,9 @@ class Contacts:
         """All places, gravest kinds first, among equals those that a tie explains most overlaps of."""
         found = [self._collision(each) for each in self.collisions]
         found += [*self._untied_passes(), *self._fusion()]
+        explained = np.concatenate([self.pose_graph.edges, self.integrity.fusion_edges])
+        gains = _gains(len(self.pose_graph), explained, [place.revisit.closest for place in found])
+        found = [replace(place, gain=gain) for place, gain in zip(found, gains, strict=True)]
         return sorted(found, key=lambda place: (GRAVITY[place.kind], -len(place.edges)))
 
     def _collision(self, contact: Revisit) -> Place:
@@ -170,20 +181,14 @@ class Contacts:
         allowance, reach = self._allowance_m(contact.closest), self._reach_m(contact.closest)
         if not np.isfinite(allowance) or reach == 0:
             return 0.5
-        length, drift = max(self._length_m(contact) / reach, SHORTEST), max(allowance / reach, LEAST_DRIFT)
+        length, drift = max(self._pass_length_m(contact) / reach, SHORTEST), max(allowance / reach, LEAST_DRIFT)
         return float(expit(CONTACT[0] + CONTACT[1] * np.log(length) + CONTACT[2] * np.log(drift)))
 
-    def _length_m(self, contact: Revisit) -> float:
-        """Length of the shorter stretch of the pass that a contact is part of.
-
-        Overlaps that go on within ten keyframes or 10 ρ on both stretches, explained or not, are of the same pass,
-        whose contact is in pieces where the spheres are small for a while.
-        """
-        along, way = self.settled.model.along, self.track.way_m
-        together = np.concatenate([contact.edges, self.loose, self.integrity.collision_edges])
-        group_of = neighbourhoods(together, along / 4).group_of
-        own = together[np.isin(group_of, np.unique(group_of[: len(contact.edges)]))]
-        return float(np.ptp(way[own], axis=0).min())
+    def _pass_length_m(self, contact: Revisit) -> float:
+        """Length of the shorter stretch of the pass that a contact is part of."""
+        n = len(self.pose_graph)
+        i, j = contact.edges[0]
+        return float(self.pass_lengths_m[np.searchsorted(self.pass_codes, i * n + j)])
 
     def _untied_passes(self) -> list[Place]:
         """Explained overlaps between which the drift allows more than the spheres reach."""
@@ -228,7 +233,7 @@ class Contacts:
             probability=1.0 if kind == "incomplete fusion" else self._probability(contact),
             allowance_m=0.0 if kind == "incomplete fusion" else self._allowance_m(contact.closest),
             reach_m=self._reach_m(contact.closest),
-            gain=_gain(len(self.pose_graph), self._explained(), contact.closest),
+            gain=0.0,
             sentence="",
             remedy="",
             proposal=None if kind == "incomplete fusion" else self._proposal(contact.closest),
@@ -243,10 +248,6 @@ class Contacts:
         way = self.track.way_m
         first, second = false[np.abs(way[false] - way[list(contact.closest)]).sum(axis=1).argmin()].tolist()
         return first, second
-
-    def _explained(self) -> Pairs:
-        """E_e."""
-        return np.concatenate([self.pose_graph.edges, self.integrity.fusion_edges])
 
     def _allowance_m(self, pair: tuple[int, ...]) -> float:
         return self.predicted[pair][1]
@@ -323,15 +324,35 @@ def _scale(distortion: Distortion, keyframe: int) -> Literal["local", "global"]:
     return "global" if late > early else "local"
 
 
-def _gain(n: int, edges: Pairs, pair: tuple[int, int]) -> float:
-    """ln(1 + R), R the effective resistance between two keyframes; infinite between parts."""
+def _pass_lengths(
+    overlaps: Pairs, track: Track, along: NDArray[np.float64]
+) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Overlaps (i, j) as i n + j, ascending, and the length in m of the shorter stretch of each one's pass.
+
+    Overlaps that go on within ten keyframes or 10 ρ on both stretches, explained or not, are of the same pass, whose
+    contact is in pieces where the spheres are small for a while.
+    """
+    group_of = neighbourhoods(overlaps, along / 4).group_of
+    low, high = (np.full((group_of.max(initial=-1) + 1, 2), end) for end in (np.inf, -np.inf))
+    np.minimum.at(low, group_of, track.way_m[overlaps])
+    np.maximum.at(high, group_of, track.way_m[overlaps])
+    codes = overlaps[:, 0] * len(along) + overlaps[:, 1]
+    order = np.argsort(codes)
+    return codes[order], (high - low).min(axis=1, initial=np.inf)[group_of[order]]
+
+
+def _gains(n: int, edges: Pairs, pairs: list[tuple[int, int]]) -> list[float]:
+    """ln(1 + R) of some pairs, R the effective resistance between the two keyframes; infinite between parts."""
+    if not pairs:
+        return []
     _, part = connected_components(n, edges)
-    if part[pair[0]] != part[pair[1]]:
-        return np.inf
-    grounded = laplacian(n, edges)
     ground = np.zeros(n)
     ground[np.unique(part, return_index=True)[1]] = 1.0
-    current = np.zeros(n)
-    current[list(pair)] = 1.0, -1.0
-    potential = splu(sparse.csc_array(grounded + sparse.diags_array(ground))).solve(current)
-    return float(np.log1p(potential[pair[0]] - potential[pair[1]]))
+    factor = splu(sparse.csc_array(laplacian(n, edges) + sparse.diags_array(ground)))
+    found = []
+    for i, j in pairs:
+        current = np.zeros(n)
+        current[[i, j]] = 1.0, -1.0
+        potential = factor.solve(current)
+        found.append(float(np.log1p(potential[i] - potential[j])) if part[i] == part[j] else np.inf)
+    return found

@@ -29,7 +29,7 @@ def place_words(place: Place, labels: Sequence[str], blamed: tuple[int, int] | N
         ),
         "undecided contact": (
             f"{later} touches {earlier}: a second pass, or chance ({drift}).",
-            f"A match of {first} with {second} decides. {tie}",
+            f"A match decides. {tie}",
         ),
         "missed closure": (f"{later} passes through {earlier} again, and nothing ties the two ({drift}).", tie),
         "untied second pass": (
