@@ -102,7 +102,7 @@ def own_closures(model: DriftModel) -> OwnClosures:
         Those of `DriftModel.settled`.
     """
     closures, active = model.ties.closures, np.ones(len(model.ties.pairs), dtype=bool)
-    returned = np.zeros(len(closures), dtype=bool)
+    returned, charge = np.zeros(len(closures), dtype=bool), np.full(len(closures), np.nan)
     groups = _revisits(model)
     asked = np.concatenate(
         [np.empty((0, 2), dtype=np.int64), *(_all_pairs(model.ties.pairs[group]) for group in groups)]
@@ -121,7 +121,8 @@ def own_closures(model: DriftModel) -> OwnClosures:
         condemned = active[closures] & (worst < 0)
         acquitted = ~active[closures] & (odds > 0) & ~returned
         if condemned.any():
-            active[closures[condemned & (worst <= worst[condemned].min() / 2)]] = False
+            out = condemned & (worst <= worst[condemned].min() / 2)
+            active[closures[out]], charge[out] = False, worst[out]
         elif acquitted.any():
             active[closures[acquitted]] = True
             returned |= acquitted
@@ -135,7 +136,7 @@ def own_closures(model: DriftModel) -> OwnClosures:
         ties=closures,
         slots=model.ties.slots[closures],
         pairs=model.ties.pairs[closures],
-        log_odds=odds,
+        log_odds=np.where(active[closures], odds, np.fmin(odds, charge)),
         missed_m=np.linalg.norm(missed[closures][:, own], axis=1),
         missed_rad=np.linalg.norm(turned, axis=1),
         allowed_m=np.where(np.isnan(odds), np.inf, np.sqrt(np.maximum(squares[:, -1:].sum(axis=1), 0.0))),
