@@ -12,8 +12,8 @@ from pgti_gtsam.gate.evidence import (
     GATE_TIMES,
     REGION,
     Change,
+    bridged_overlaps,
     contacts,
-    explained_overlaps,
     free_space_unit,
     local_rise,
 )
@@ -61,7 +61,7 @@ def test_without_a_positive_radius_there_is_no_unit():
 @laws
 @given(pose_graphs())
 def test_what_is_explained_does_overlap(graph):
-    found = {tuple(sorted(pair)) for pair in explained_overlaps(graph).tolist()}
+    found = {tuple(sorted(pair)) for pair in bridged_overlaps(graph).tolist()}
     slack = graph.radii * (1 + 1e-9) + 1e-9 * graph.radii.max()
     assert found <= {tuple(pair) for pair in overlapping_spheres(graph.positions, slack).tolist()}
 
@@ -85,9 +85,9 @@ def test_a_closure_explains_the_overlaps_beside_it():
     # The legs are 2.5 m apart and spheres reach 1.5 m: with keyframes k and 39 - k tied, their neighbours at 2 m
     # are too far to follow from the tie alone (4.5 m of way against 3 m of spheres), at 0.2 m they are not.
     graph = hairpin(2.5)
-    assert explained_overlaps(with_edges(graph, [(10, 29)])).tolist() == [[10, 29]]
+    assert bridged_overlaps(with_edges(graph, [(10, 29)])).tolist() == [[10, 29]]
     close = with_edges(hairpin(2.5), [(10, 29)], positions=graph.positions * [0.1, 1.0, 1.0])
-    assert len(explained_overlaps(close)) > 1
+    assert len(bridged_overlaps(close)) > 1
 
 
 @laws

@@ -106,17 +106,20 @@ class Contacts:
     @classmethod
     def of(cls, pose_graph: PoseGraph, integrity: Integrity, model: DriftModel, closures: OwnClosures) -> Contacts:
         """Group the collisions, sample the explained overlaps, and settle the drift model to be asked for both."""
+        # group the collisions, and the explained overlaps that no tie near by holds
         track, fusion = track_of(pose_graph), integrity.fusion_edges
         places, collisions = places_on(pose_graph, track), revisits(pose_graph, integrity, track)
         far = fusion[places[fusion[:, 1]] - places[fusion[:, 0]] > 2.0]
         loose = far[~_tied_near_by(far, pose_graph.radii, model, closures.settled.active)]
         near_by = neighbourhoods(loose, places, SAMPLED)
+        codes, lengths = _pass_lengths(np.concatenate([integrity.collision_edges, loose]), track, places)
+
+        # ask the drift model for one pair of each
         closest = np.array([each.closest for each in collisions], dtype=np.int64).reshape(-1, 2)
         asked = np.concatenate([closest, loose[near_by.first]])
         settled = closures.settled.asked(asked)
         covariances = settled.covariances(asked) * closures.drift_scale**2
         allowances = settled.allowances_m(covariances)
-        codes, lengths = _pass_lengths(np.concatenate([integrity.collision_edges, loose]), track, model.along)
         return cls(
             pose_graph=pose_graph,
             integrity=integrity,
@@ -220,7 +223,8 @@ class Contacts:
         return [self._place("incomplete fusion", contact, fusion)]
 
     def _place(self, kind: Kind, contact: Revisit, distortion: Distortion) -> Place:
-        """Numbers first, then the words that they make."""
+        """A place of a kind, but for its gain."""
+        # its numbers
         members = contact.keyframes
         worst = int(members[np.argmax(distortion.stable_scores[members])])
         place = Place(
@@ -238,6 +242,8 @@ class Contacts:
             remedy="",
             proposal=None if kind == "incomplete fusion" else self._proposal(contact.closest),
         )
+
+        # the words that they make
         blamed = self._blamed(contact) if kind == "likely false closure" else None
         sentence, remedy = words.place_words(place, self.pose_graph.labels, blamed)
         return replace(place, sentence=sentence, remedy=remedy)

@@ -70,6 +70,8 @@ def verdict(integrity: Integrity, places: Sequence[Place], closures: Sequence[Cl
         return "undecided", "The pose graph has no edge and no two spheres meet: there is nothing to compare."
     if integrity.n_components_pose_graph == len(integrity.keyframe_scores) > 1:
         return "undecided", "No edge of the pose graph ties any two keyframes."
+
+    # the gravest finding decides
     false = [closure for closure in closures if closure.is_false]
     count = {kind: sum(place.kind == kind for place in places) for kind in {place.kind for place in places}}
     untied = sum(count.get(kind, 0) for kind in ("missed closure", "untied second pass", "tracking gap"))

@@ -119,11 +119,14 @@ class DriftModel:
         UnsolvableGraphError
             The ties are so stiff or so many that their information matrix is singular to rounding.
         """
+        # which parts hang together, and in which order their keyframes are eliminated
         ties, n = self.ties, len(self.poses)
         active = np.ones(len(ties.pairs), dtype=bool) if active is None else active
         together = np.concatenate([ties.pairs, np.empty((0, 2), dtype=np.int64) if asked is None else asked])
         _, component = connected_components(n, ties.pairs[active])
         tree = analyse(n, np.unique(np.sort(together[together[:, 0] != together[:, 1]], axis=1), axis=0))
+
+        # the optimum, and the information there
         weights = np.where(active[:, None], 1 / ties.variances, 0.0)
         anchors = self._anchors(component)
         poses = self._optimum(active, component, self.poses if start is None else start.poses)

@@ -150,12 +150,12 @@ def travelled(pose_graph: PoseGraph) -> NDArray[np.float64]:
 def contacts(pose_graph: PoseGraph) -> Contacts:
     """Connected and merged pairs, with explained overlaps among the connected."""
     n = len(pose_graph)
-    connected = _codes(np.concatenate([pose_graph.edges, explained_overlaps(pose_graph)]), n)
+    connected = _codes(np.concatenate([pose_graph.edges, bridged_overlaps(pose_graph)]), n)
     free = _codes(overlapping_spheres(pose_graph.positions, pose_graph.radii), n)
     return Contacts(pose_graph=pose_graph, connected=connected, merged=np.union1d(connected, free))
 
 
-def explained_overlaps(pose_graph: PoseGraph) -> Pairs:
+def bridged_overlaps(pose_graph: PoseGraph) -> Pairs:
     """Overlaps that a closure makes a matter of course, (k, 2).
 
     What holds along the track (`track.track_edges`) holds through a closure between a and b: when

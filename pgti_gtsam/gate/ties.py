@@ -63,11 +63,15 @@ def ties_of(graph: gtsam.NonlinearFactorGraph, pose_graph: PoseGraph, poses: Seq
         if not source & (EdgeSource.BETWEEN | EdgeSource.COVISIBILITY):
             continue
         found = [(z, slot) for slot in slots if (z := _measured(graph.at(slot), keys[i], planar)) is not None]
+
+        # a step of the track drifts with its length
         if source & EdgeSource.ODOMETRY:
             step = found[0][0] if found else poses[i].between(poses[j])
             drift = DRIFT * float(np.sqrt(max(_length(step) / unit, _angle(step), SHORTEST)))
             rows.append(((i, j), step, variances_of(drift * unit, drift, is_planar=planar), -1))
             continue
+
+        # a closure, or what both keyframes see, holds as well as a match
         tolerance = variances_of(OFFSET * unit, OFFSET_RAD, is_planar=planar)
         for z, slot in found or [(poses[i].between(poses[j]), -1)]:
             rows.append(((i, j), z, tolerance, slot))
