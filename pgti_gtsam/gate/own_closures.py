@@ -24,8 +24,9 @@ from pgti_gtsam.gate.ties import OFFSET, OFFSET_RAD
 from pgti_gtsam.places import neighbourhoods
 
 NEAR, NEAR_RAD = 0.5, 0.25
-"""Standard deviation of a match of places, in ρ and in rad. It misses by less than the free space, and ties what
-belongs together: all loops that the detector reports on KITTI 06 measure the identity, true ones are up to 1 ρ off."""
+"""Standard deviation of a match of places, in ρ and in rad: it misses by less than the free space, and ties what
+belongs together. The true loops on KITTI 06 miss the ground truth by 0.57 m in the median and 1.39 m at most, 0.35 ρ
+at ρ = 4 m."""
 
 NEAR_SHARE = 0.1
 """Of true closures, those that match places."""
@@ -34,8 +35,8 @@ PRIOR = float(np.log(19))
 """Log odds before looking that a closure of a finished map is true: 95 %."""
 
 POOREST = 10.0
-"""Most by which the odometry's variance may exceed the model's. Nine of ten maps stay far below the model, and the one
-that does not, MIT with wheels that slip, exceeds it by 8."""
+"""Most by which the odometry's variance may exceed the model's. Of nine well-known graphs eight stay far below the
+model; MIT, whose wheels slip, exceeds it by 8."""
 
 TOGETHER = 8
 """Most closures of a revisit that are weighed as one."""
