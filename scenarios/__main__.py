@@ -15,6 +15,7 @@ from scenarios import scans as scan_graphs
 from scenarios import speed as speed_experiment
 from scenarios.aliasing import figure, maps, tables, trials
 from scenarios.aliasing.methods import METHODS
+from scenarios.diagnosis import contacts_fit
 from scenarios.diagnosis import maps as diagnosed_maps
 from scenarios.diagnosis import tables as diagnosis_tables
 from scenarios.diagnosis import trials as diagnosis_trials
@@ -141,10 +142,10 @@ def known_damage(
     data: Annotated[Path | None, typer.Option(help="Folder with the real graphs; worlds only without.")] = None,
     names: Annotated[str, typer.Option("--worlds", help="Which, between commas.")] = ",".join(LAYOUTS),
     seeds: Annotated[str, typer.Option(help="Seeds of the drives, between commas.")] = ",".join(
-        map(str, range(30, 38))
+        map(str, range(50, 58))
     ),
-    undamaged: Annotated[str, typer.Option(help="Seeds of maps without damage.")] = ",".join(map(str, range(30, 45))),
-    covisible: Annotated[str, typer.Option(help="Seeds of maps with landmarks.")] = "30",
+    undamaged: Annotated[str, typer.Option(help="Seeds of maps without damage.")] = ",".join(map(str, range(50, 65))),
+    covisible: Annotated[str, typer.Option(help="Seeds of maps with landmarks.")] = "50",
     scheduler: Annotated[str | None, typer.Option(help="Address of a Dask scheduler; a local cluster without.")] = None,
     out: Annotated[Path, typer.Option(help="A JSON line a case; known ones are kept.")] = RESULTS / "diagnosis.jsonl",
 ) -> None:
@@ -162,6 +163,21 @@ def known_damage(
     described = out.with_name(out.stem + "_maps.json")
     diagnosed_maps.write(rows, data, described)
     diagnosed_maps.draw(json_text.loads(described.read_text(encoding="utf-8")), out.with_suffix(".png"))
+    print(f"results: {out}")
+
+
+@app.command("contacts")
+def which_contacts_are_real(
+    seeds: Annotated[str, typer.Option(help="Seeds of the drives, between commas.")] = ",".join(
+        map(str, range(1000, 1016))
+    ),
+    scheduler: Annotated[str | None, typer.Option(help="Address of a Dask scheduler; a local cluster without.")] = None,
+    out: Annotated[Path, typer.Option(help="A JSON line a drive; known ones are kept.")] = RESULTS / "contacts.jsonl",
+) -> None:
+    """Contacts of odometry alone, in worlds with two kinds of drift: the fit that tells real ones. Five minutes."""
+    wanted = list(contacts_fit.trials(list(LAYOUTS), _whole_numbers(seeds)))
+    for line in contacts_fit.report(sweep.run(out, wanted, contacts_fit.row, scheduler, print)):
+        print(line)
     print(f"results: {out}")
 
 

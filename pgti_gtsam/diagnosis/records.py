@@ -15,7 +15,6 @@ from pgti_gtsam.pose_graph import PoseGraph
 
 Kind = Literal[
     "likely false closure",
-    "collision by drift",
     "undecided contact",
     "missed closure",
     "untied second pass",

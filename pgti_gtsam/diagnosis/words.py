@@ -23,12 +23,9 @@ def place_words(place: Place, labels: Sequence[str], blamed: tuple[int, int] | N
             f"{later} touches {earlier} only through a closure that all others contradict.",
             f"Look again at the closure {false}.",
         ),
-        "collision by drift": (
-            f"{later} crosses {earlier} by chance: the contact is short, the drift long ({drift}).",
-            f"Find the closure that is missing on the way. {tie}",
-        ),
         "undecided contact": (
-            f"{later} touches {earlier}: a second pass, or chance ({drift}).",
+            f"{later} touches {earlier}: a second pass (probability {place.probability:.1f}), or a crossing that drift "
+            f"made ({drift}).",
             f"A match decides. {tie}",
         ),
         "missed closure": (f"{later} passes through {earlier} again, and nothing ties the two ({drift}).", tie),
@@ -75,15 +72,13 @@ def verdict(integrity: Integrity, places: Sequence[Place], closures: Sequence[Cl
     false = [closure for closure in closures if closure.is_false]
     count = {kind: sum(place.kind == kind for place in places) for kind in {place.kind for place in places}}
     untied = sum(count.get(kind, 0) for kind in ("missed closure", "untied second pass", "tracking gap"))
-    chance, open_ = count.get("collision by drift", 0), count.get("undecided contact", 0)
-    if false or chance:
-        contradict = f"{_count(len(false), 'closure')} {_verb(len(false), 'contradicts', 'contradict')} all others"
-        collide = f"the track collides with itself by drift in {_count(chance, 'place')}"
-        said = " and ".join([*([contradict] if false else []), *([collide] if chance else [])])
-        return "inconsistent", f"{_capital(said)}."
+    open_ = count.get("undecided contact", 0)
+    if false:
+        said = f"{_count(len(false), 'closure')} {_verb(len(false), 'contradicts', 'contradict')} all others."
+        return "inconsistent", _capital(said)
     if open_:
         more = f" {_capital(_count(untied, 'more place'))} {_verb(untied, 'is', 'are')} not tied." if untied else ""
-        both = f"{_verb(open_, 'is a second pass', 'are second passes')} or chance: the drift since allows both."
+        both = f"{_verb(open_, 'is a second pass or a crossing', 'are second passes or crossings')} that drift made."
         return "undecided", f"{_capital(_count(open_, 'contact'))} {both}{more}"
     if untied:
         passed = f"{_count(untied, 'place')} that the track passes again {_verb(untied, 'is', 'are')} not tied."

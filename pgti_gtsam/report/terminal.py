@@ -18,7 +18,6 @@ WITNESSES = (
 _COLOURS = {"consistent": "green", "incomplete": "cyan", "undecided": "yellow", "inconsistent": "red"}
 _KIND_COLOURS = {
     "likely false closure": "red",
-    "collision by drift": "red",
     "undecided contact": "yellow",
     "missed closure": "cyan",
     "untied second pass": "cyan",

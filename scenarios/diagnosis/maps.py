@@ -21,7 +21,6 @@ from scenarios.worlds.solid import Array
 
 COLOURS = {
     "likely false closure": "tab:red",
-    "collision by drift": "tab:orange",
     "undecided contact": "tab:olive",
     "missed closure": "tab:blue",
     "untied second pass": "tab:cyan",

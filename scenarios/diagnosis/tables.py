@@ -10,7 +10,7 @@ EXPECTED = ("consistent", "incomplete", "inconsistent")
 VERDICTS = (*EXPECTED, "undecided")
 
 REAL_KINDS = ("missed closure", "untied second pass", "tracking gap", "incomplete fusion")
-CHANCE_KINDS = ("collision by drift", "likely false closure")
+CHANCE_KINDS = ("likely false closure",)
 """Kinds of places by whether the contact would be real; the remaining kind decides nothing."""
 
 Rows = Sequence[dict[str, Any]]

@@ -80,7 +80,7 @@ function fillKeyframe(i) {
 
 /** How grave a kind of place is: the verdict that it leads to. */
 const gravity = new Map(Object.entries({
-  "likely false closure": "inconsistent", "collision by drift": "inconsistent", "undecided contact": "undecided",
+  "likely false closure": "inconsistent", "undecided contact": "undecided",
   "missed closure": "incomplete", "untied second pass": "incomplete", "tracking gap": "incomplete",
 }));
 
