@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pgti_gtsam.spectral.block_inverse import factorise, inverse_blocks, solve
+from pgti_gtsam.spectral.block_inverse import factorise, inverse_blocks, own_products, products, solve
 from pgti_gtsam.spectral.elimination_tree import analyse
 
 
@@ -28,6 +28,17 @@ def test_blocks_and_solutions_are_those_of_the_dense_inverse(n, m, d, seed):
     asked = np.concatenate([pairs, pairs[:, ::-1], np.c_[np.arange(n), np.arange(n)]])
     expected = inverse.reshape(n, d, n, d).transpose(0, 2, 1, 3)[asked[:, 0], asked[:, 1]]
     np.testing.assert_allclose(inverse_blocks(factor, asked), expected, atol=1e-12)
+    ends = rng.integers(0, n, (rng.integers(0, 80), 2))  # of any vertices, the same one twice among them
+    jacobians = rng.normal(size=(len(ends), 2, d, d))
+    rows = np.zeros((len(ends), d, n, d))
+    for k, (i, j) in enumerate(ends):
+        rows[k, :, i] += jacobians[k, 0]
+        rows[k, :, j] += jacobians[k, 1]
+    rows = rows.reshape(-1, n * d)
+    whole = products(factor, ends, jacobians)
+    np.testing.assert_allclose(whole, rows @ inverse @ rows.T, atol=1e-12)
+    own = whole.reshape(len(ends), d, len(ends), d)[np.arange(len(ends)), :, np.arange(len(ends))]
+    np.testing.assert_allclose(own_products(factor, ends, jacobians), own, atol=1e-12)
     b = rng.normal(size=(n, d))
     np.testing.assert_allclose(solve(factor, b).ravel(), inverse @ b.ravel(), atol=1e-12)
 

@@ -7,6 +7,7 @@ an edge for cost one factorisation and one visit from the roots to the leaves.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +16,9 @@ from numpy.typing import NDArray
 from pgti_gtsam.spectral.elimination_tree import EliminationTree, IntArray
 
 FloatArray = NDArray[np.float64]
+
+TOGETHER = 64
+"""Pairs of vertices whose columns are carried to the roots together: those that lie near each other share the way."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -124,6 +128,60 @@ def solve(factor: BlockFactor, b: FloatArray) -> FloatArray:
     for k, span in reversed(list(enumerate(spans))):
         x[span] -= (factor.couplings[k] @ x[rows[k]].ravel()).reshape(-1, factor.size)
     return x[tree.positions]
+
+
+def products(factor: BlockFactor, ends: IntArray, jacobians: FloatArray) -> FloatArray:
+    """J H⁻¹ Jᵀ of the factorised matrix H, (k d, k d).
+
+    With H = L D Lᵀ it is Zᵀ D⁻¹ Z, Z = L⁻¹ Jᵀ: what a column of Jᵀ touches lies on the way from its vertices to the
+    roots of the elimination tree, and no other supernode is visited.
+
+    Parameters
+    ----------
+    factor : BlockFactor
+    ends : (k, 2) int
+        Two vertices that each block of rows of J has entries at; the graph need not have an edge between them.
+    jacobians : (k, 2, d, d) float
+        The entries.
+    """
+    found = np.zeros((len(ends) * factor.size, len(ends) * factor.size))
+    for inverse, z in _half_solved(factor, ends, jacobians):
+        found += z.T @ (inverse @ z)
+    return found
+
+
+def own_products(factor: BlockFactor, ends: IntArray, jacobians: FloatArray) -> FloatArray:
+    """The diagonal blocks of `products`, (k, d, d)."""
+    d, found = factor.size, np.zeros((len(ends), factor.size, factor.size))
+    order = np.argsort(factor.tree.positions[ends].max(axis=1, initial=0), kind="stable")
+    for part in np.split(order, np.arange(TOGETHER, len(order), TOGETHER)):
+        for inverse, z in _half_solved(factor, ends[part], jacobians[part]):
+            weighted = (inverse @ z).reshape(-1, len(part), d)
+            found[part] += np.einsum("rka,rkb->kab", z.reshape(weighted.shape), weighted, optimize=True)
+    return found
+
+
+def _half_solved(factor: BlockFactor, ends: IntArray, jacobians: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:
+    """D⁻¹ and Z = L⁻¹ Jᵀ at every supernode on the way from some vertices to the roots, (w d, w d) and (w d, k d)."""
+    tree, d, k = factor.tree, factor.size, len(ends)
+    visited = tree.closure(tree.positions[ends].ravel())
+
+    # Jᵀ, of the visited supernodes' pivots alone
+    widths = tree.widths[visited]
+    firsts = np.concatenate([[0], np.cumsum(widths)])
+    place = np.full(tree.n_vertices, -1)
+    place[np.repeat(tree.starts[visited] - firsts[:-1], widths) + np.arange(firsts[-1])] = np.arange(firsts[-1])
+    x = np.zeros((firsts[-1], d, k, d))
+    for end in (0, 1):
+        np.add.at(x, (place[tree.positions[ends[:, end]]], slice(None), np.arange(k)), jacobians[:, end].swapaxes(1, 2))
+    x = x.reshape(-1, d, k * d)
+
+    # from the leaves to the roots
+    for own, start, width in zip(visited.tolist(), firsts.tolist(), widths.tolist(), strict=False):
+        z = x[start : start + width].reshape(width * d, k * d)
+        rows = place[tree.rows[tree.row_starts[own] : tree.row_starts[own + 1]]]
+        x[rows] -= (factor.couplings[own].T @ z).reshape(len(rows), d, k * d)
+        yield factor.inverses[own], z
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
