@@ -118,7 +118,7 @@ class Contacts:
         # ask the drift model for one pair of each
         closest = np.array([each.closest for each in collisions], dtype=np.int64).reshape(-1, 2)
         asked = np.concatenate([closest, loose[near_by.first]])
-        settled = closures.settled.asked(asked)
+        settled = closures.settled
         covariances = settled.covariances(asked) * closures.drift_scale**2
         allowances = settled.allowances_m(covariances)
         return cls(

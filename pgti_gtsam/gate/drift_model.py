@@ -6,18 +6,14 @@ track what a poor odometer of any make still keeps, a white error that grows wit
 e = Log(z⁻¹ T_i⁻¹ T_j), which the perturbations T Exp(δ) change by δ_j − A δ_i, A = Ad(T_j⁻¹ T_i). The information
 matrix Σ Jᵀ R⁻¹ J of all ties is a graph Laplacian with matrix weights, and the covariance of the relative pose of two
 keyframes is the effective resistance between them.
-
-From one factorisation follows what every tie would have been predicted to measure without it: with the residual r at
-the optimum, its tolerance R, the covariance C of the relative pose and S = R − C, the tie misses that prediction by
-e = R S⁻¹ r, whose own covariance, without the tie's tolerance, is R S⁻¹ R − R (leave-one-out residuals of linear least
-squares: Cook and Weisberg, Residuals and Influence in Regression, 1982, chapter 2).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import Any
 
 import gtsam
@@ -27,11 +23,18 @@ from numpy.typing import NDArray
 from pgti_gtsam.adapter.values import Keyframes, read_keyframes, typed_value
 from pgti_gtsam.errors import UnsolvableGraphError
 from pgti_gtsam.gate.evidence import free_space_unit
-from pgti_gtsam.gate.ties import Ties, ties_of, variances_of
+from pgti_gtsam.gate.ties import Ties, adjoints, alike, errors_of, ties_of, variances_of
 from pgti_gtsam.gate.trial import optimised
 from pgti_gtsam.places import places_on
 from pgti_gtsam.pose_graph import PoseGraph
-from pgti_gtsam.spectral.block_inverse import BlockFactor, factorise, inverse_blocks, solve
+from pgti_gtsam.spectral.block_inverse import (
+    TOGETHER,
+    BlockFactor,
+    factorise,
+    own_products,
+    products,
+    solve,
+)
 from pgti_gtsam.spectral.elimination_tree import EliminationTree, analyse
 from pgti_gtsam.spectral.laplacian import connected_components
 from pgti_gtsam.track import track_of
@@ -45,10 +48,6 @@ HELD = 0.5
 
 MAX_ITERATIONS = 10
 """Levenberg-Marquardt steps to the model's optimum. Where closures are false there is no good one, nor need."""
-
-LEAST_REST = 1e-6
-"""Least eigenvalue of S in units of R: the rounding of the covariances. What the others predict is uncertain by 1000
-tolerances there, and how uncertain exactly does not matter."""
 
 Array = NDArray[np.float64]
 
@@ -100,7 +99,6 @@ class DriftModel:
     def settled(
         self,
         active: NDArray[np.bool_] | None = None,
-        asked: NDArray[np.int64] | None = None,
         start: Settled | None = None,
     ) -> Settled:
         """The optimum of the ties.
@@ -109,8 +107,6 @@ class DriftModel:
         ----------
         active : (m,) bool, optional
             Ties that hold, all without; the others pull at nothing.
-        asked : (k, 2) int, optional
-            Pairs of keyframes, beside those of ties, whose relative pose will be asked for.
         start : Settled, optional
             Where to begin; the estimate without.
 
@@ -122,16 +118,14 @@ class DriftModel:
         # which parts hang together, and in which order their keyframes are eliminated
         ties, n = self.ties, len(self.poses)
         active = np.ones(len(ties.pairs), dtype=bool) if active is None else active
-        together = np.concatenate([ties.pairs, np.empty((0, 2), dtype=np.int64) if asked is None else asked])
         _, component = connected_components(n, ties.pairs[active])
-        tree = analyse(n, np.unique(np.sort(together[together[:, 0] != together[:, 1]], axis=1), axis=0))
+        tree = analyse(n, np.unique(np.sort(ties.pairs[active], axis=1), axis=0))
 
         # the optimum, and the information there
-        weights = np.where(active[:, None], 1 / ties.variances, 0.0)
         anchors = self._anchors(component)
         poses = self._optimum(active, component, self.poses if start is None else start.poses)
         try:
-            factor, pull = self._linearised(tree, anchors, weights, poses)
+            factor, pull = self._linearised(tree, anchors, active, poses)
         except np.linalg.LinAlgError as error:
             raise UnsolvableGraphError(
                 "expected odometry and closures that fix every keyframe, got a singular information matrix; "
@@ -168,8 +162,9 @@ class DriftModel:
     def _residuals(self, poses: Sequence[Any], steps: Array) -> Array:
         """Error of every tie after a last, linear step: e + δ_j − A δ_i."""
         i, j = self.ties.pairs.T
-        carried = _adjoints(poses, self.ties.pairs) @ steps[i][:, :, None]
-        return np.asarray(_errors(poses, self.ties) + steps[j] - carried[:, :, 0])
+        carried = adjoints(poses, self.ties.pairs) @ steps[i][:, :, None]
+        errors = errors_of(poses, self.ties.pairs, self.ties.measured)
+        return np.asarray(errors + steps[j] - carried[:, :, 0])
 
     def _anchors(self, component: NDArray[np.int32]) -> Array:
         """Diagonal blocks of what holds keyframes in the world: the first one of every component, and `held` ones."""
@@ -179,11 +174,12 @@ class DriftModel:
         return information
 
     def _linearised(
-        self, tree: EliminationTree, anchors: Array, weights: Array, poses: Sequence[Any]
+        self, tree: EliminationTree, anchors: Array, active: NDArray[np.bool_], poses: Sequence[Any]
     ) -> tuple[BlockFactor, Array]:
-        """Σ Jᵀ R⁻¹ J, J = (−A, I), and −Σ Jᵀ R⁻¹ e, (n, d)."""
-        pairs, carry = self.ties.pairs, _adjoints(poses, self.ties.pairs)
-        weighted, errors = weights[:, :, None] * carry, weights * _errors(poses, self.ties)
+        """Σ Jᵀ R⁻¹ J, J = (−A, I), and −Σ Jᵀ R⁻¹ e, (n, d), of the active ties."""
+        ties = self.ties.only(active)
+        pairs, carry, weights = ties.pairs, adjoints(poses, ties.pairs), 1 / ties.variances
+        weighted, errors = weights[:, :, None] * carry, weights * errors_of(poses, ties.pairs, ties.measured)
         diagonal, pull = anchors.copy(), np.zeros(anchors.shape[:2])
         np.add.at(diagonal, pairs[:, 0], carry.swapaxes(1, 2) @ weighted)
         np.add.at(diagonal, pairs[:, 1], weights[:, :, None] * np.eye(weights.shape[1]))
@@ -217,21 +213,35 @@ class Settled:
     residuals: Array
     factor: BlockFactor
 
-    def asked(self, pairs: NDArray[np.int64]) -> Settled:
-        """The same optimum, of which more relative poses can be asked."""
-        return self.model.settled(self.active, pairs, self)
-
     def covariances(self, pairs: NDArray[np.int64]) -> Array:
         """Covariance of the pose of j seen from i, in the tangent space of j: (k, d, d), NaN where no tie leads."""
         i, j = pairs.T
-        ends = np.concatenate([np.stack(each, axis=1) for each in ((i, i), (j, j), (i, j))])
-        own, other, cross = inverse_blocks(self.factor, ends).reshape(3, len(pairs), *self.model.spread.shape)
-        carry = _adjoints(self.poses, pairs)
-        mixed = carry @ cross
-        found = carry @ own @ carry.swapaxes(1, 2) + other - mixed - mixed.swapaxes(1, 2)
-        values, axes = np.linalg.eigh(found)
-        found = axes * np.maximum(values, 0.0)[:, None, :] @ axes.swapaxes(1, 2)
+        found = own_products(self.factor, pairs, self._jacobians(pairs))
         return np.where((self.component[i] == self.component[j])[:, None, None], found, np.nan)
+
+    def missed(self, pairs: NDArray[np.int64], measured: Sequence[Any]) -> Array:
+        """What the ties predict of some relative poses, seen from what was measured of them, (k, d)."""
+        return errors_of(self.poses, pairs, measured)
+
+    def joint_covariances(self, groups: Sequence[NDArray[np.int64]]) -> list[Array]:
+        """Covariance of all relative poses of each group of pairs together, (g d, g d).
+
+        NaN in the rows and columns of pairs that no tie leads between.
+        """
+        found, d = [], len(self.model.spread)
+        for together in _batches([len(group) for group in groups], TOGETHER):
+            pairs = np.concatenate([groups[k] for k in together])
+            whole = products(self.factor, pairs, self._jacobians(pairs))
+            lost = np.repeat(self.component[pairs[:, 0]] != self.component[pairs[:, 1]], d)
+            whole[lost], whole[:, lost] = np.nan, np.nan
+            ends = d * np.cumsum([0, *(len(groups[k]) for k in together)])
+            found += [whole[a:b, a:b] for a, b in pairwise(ends.tolist())]
+        return found
+
+    def _jacobians(self, pairs: NDArray[np.int64]) -> Array:
+        """(−A, I) of every pair, (k, 2, d, d)."""
+        carry = adjoints(self.poses, pairs)
+        return np.stack([-carry, np.broadcast_to(np.eye(carry.shape[1]), carry.shape)], axis=1)
 
     def allowances_m(self, covariances: Array) -> Array:
         """Standard deviation, m, of relative positions along their least certain axis, (k,); infinite where unknown.
@@ -247,71 +257,17 @@ class Settled:
         squares = np.linalg.eigvalsh(np.where(unknown[:, None, None], 0.0, blocks))[:, -1]
         return np.where(unknown, np.inf, np.sqrt(np.maximum(squares, 0.0)))
 
-    def _alone(self) -> NDArray[np.int64]:
-        """Active closures without which the map would fall apart."""
-        ties, n = self.model.ties, len(self.poses)
-        held = self.active & (ties.slots < 0)
-        parts, part = connected_components(n, ties.pairs[held])
-        between = np.flatnonzero(self.active & (ties.slots >= 0) & (part[ties.pairs[:, 0]] != part[ties.pairs[:, 1]]))
-        ends = part[ties.pairs[between]].astype(np.int64)
-        n_parts = connected_components(parts, ends)[0]
-        _, first, count = np.unique(np.sort(ends, axis=1), axis=0, return_index=True, return_counts=True)
-        single = first[count == 1]
-        needed = [k for k in single.tolist() if connected_components(parts, np.delete(ends, k, axis=0))[0] > n_parts]
-        return between[needed]
 
-    def left_out(self) -> tuple[Array, Array]:
-        """By how much every tie misses what all the others predict, (m, d), and the covariance of that, (m, d, d).
-
-        A tie that pulls at nothing misses by its residual. Where no other tie leads, the covariance is NaN.
-        """
-        ties = self.model.ties
-        spread = self.covariances(ties.pairs)
-        missed, others = _predicted(self.residuals, np.sqrt(ties.variances), np.nan_to_num(spread, nan=0.0))
-        others[self._alone()] = np.nan
-        return (
-            np.where(self.active[:, None], missed, self.residuals),
-            np.where(self.active[:, None, None], others, spread),
-        )
-
-    def left_out_together(self, groups: Sequence[NDArray[np.int64]]) -> list[tuple[Array, Array]]:
-        """By how much the ties of each group miss what all others predict, (g, d), and its covariance, (g d, g d).
-
-        Relative poses between all keyframes of a group must have been asked for.
-        """
-        ties = self.model.ties
-        ends = [ties.pairs[group].reshape(-1) for group in groups]
-        squares = [np.stack(np.meshgrid(own, own, indexing="ij"), -1).reshape(-1, 2) for own in ends]
-        blocks = inverse_blocks(self.factor, np.concatenate([np.empty((0, 2), dtype=np.int64), *squares]))
-        parts = np.split(blocks, np.cumsum([len(square) for square in squares])[:-1]) if groups else []
-        found = []
-        for group, part in zip(groups, parts, strict=True):
-            missed, others = _predicted(
-                self.residuals[group].reshape(1, -1),
-                np.sqrt(ties.variances[group]).reshape(1, -1),
-                self._relative(group, part)[None],
-            )
-            found.append((missed.reshape(len(group), -1), others[0]))
-        return found
-
-    def _relative(self, group: NDArray[np.int64], blocks: Array) -> Array:
-        """Joint covariance of a group's relative poses, (g d, g d), from that of its ends."""
-        g, d = len(group), blocks.shape[1]
-        whole = blocks.reshape(2 * g, 2 * g, d, d).transpose(0, 2, 1, 3).reshape(2 * g * d, 2 * g * d)
-        jacobian, own = np.zeros((g, d, g, 2, d)), np.arange(g)
-        jacobian[own, :, own, 0] = -_adjoints(self.poses, self.model.ties.pairs[group])
-        jacobian[own, :, own, 1] = np.eye(d)
-        flat = jacobian.reshape(g * d, 2 * g * d)
-        return np.asarray(flat @ whole @ flat.T)
-
-
-def _predicted(residuals: Array, roots: Array, spread: Array) -> tuple[Array, Array]:
-    """R S⁻¹ r and R S⁻¹ R − R with S = R − C, of (k, d) residuals r, roots of R and (k, d, d) covariances C."""
-    rest, axes = np.linalg.eigh(np.eye(roots.shape[1]) - spread / (roots[:, :, None] * roots[:, None, :]))
-    gain = 1 / np.clip(rest, LEAST_REST, 1.0)  # S⁻¹ in units of R, along the axes
-    along = axes.swapaxes(1, 2) @ (residuals / roots)[:, :, None]
-    missed = roots * (axes @ (gain[:, :, None] * along))[:, :, 0]
-    return missed, roots[:, :, None] * (axes * (gain - 1)[:, None, :] @ axes.swapaxes(1, 2)) * roots[:, None, :]
+def _batches(sizes: Sequence[int], most: int) -> Iterator[list[int]]:
+    """Neighbours together, up to so much in sum; what is larger by itself stays alone."""
+    batch: list[int] = []
+    for k, size in enumerate(sizes):
+        if batch and sum(sizes[b] for b in batch) + size > most:
+            yield batch
+            batch = []
+        batch.append(k)
+    if batch:
+        yield batch
 
 
 def drift_model(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, pose_graph: PoseGraph) -> DriftModel:
@@ -331,7 +287,7 @@ def drift_model(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, pose_gr
         No keyframe has a radius.
     """
     unit, keyframes = free_space_unit(pose_graph), read_keyframes(values)
-    poses = _alike([_pose(keyframes, int(key)) for key in pose_graph.keys])
+    poses = alike([_pose(keyframes, int(key)) for key in pose_graph.keys])
     return DriftModel(
         unit_m=unit,
         poses=poses,
@@ -358,26 +314,3 @@ _HOLDING = (gtsam.PriorFactorPose2, gtsam.PriorFactorPose3, gtsam.GPSFactor)
 def _pose(keyframes: Keyframes, key: int) -> Any:
     """The Pose2 or Pose3 of a keyframe."""
     return keyframes.poses.get(key) or typed_value(keyframes.values, "Pose2", key) or keyframes.values.atPose3(key)
-
-
-def _alike(poses: Iterable[Any]) -> tuple[Any, ...]:
-    """All poses of the plane, or all in space."""
-    found = list(poses)
-    if all(isinstance(pose, gtsam.Pose2) for pose in found):
-        return tuple(found)
-    return tuple(gtsam.Pose3(pose) if isinstance(pose, gtsam.Pose2) else pose for pose in found)
-
-
-def _adjoints(poses: Sequence[Any], pairs: NDArray[np.int64]) -> Array:
-    """A = Ad(T_j⁻¹ T_i) of every pair, (k, d, d)."""
-    d = 3 if isinstance(poses[0], gtsam.Pose2) else 6
-    return np.array([poses[j].between(poses[i]).AdjointMap() for i, j in pairs.tolist()]).reshape(-1, d, d)
-
-
-def _errors(poses: Sequence[Any], ties: Ties) -> Array:
-    """e = Log(z⁻¹ T_i⁻¹ T_j) of every tie, (m, d)."""
-    errors = [
-        type(z).Logmap(z.between(poses[i].between(poses[j])))
-        for (i, j), z in zip(ties.pairs.tolist(), ties.measured, strict=True)
-    ]
-    return np.array(errors).reshape(ties.variances.shape)

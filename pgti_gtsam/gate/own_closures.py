@@ -20,6 +20,7 @@ from scipy.special import expit
 from scipy.stats import chi2
 
 from pgti_gtsam.gate.drift_model import DriftModel, Settled
+from pgti_gtsam.gate.left_out import left_out, left_out_together
 from pgti_gtsam.gate.ties import OFFSET, OFFSET_RAD
 from pgti_gtsam.places import neighbourhoods
 
@@ -105,16 +106,13 @@ def own_closures(model: DriftModel) -> OwnClosures:
     closures, active = model.ties.closures, np.ones(len(model.ties.pairs), dtype=bool)
     returned, charge = np.zeros(len(closures), dtype=bool), np.full(len(closures), np.nan)
     groups = _revisits(model)
-    asked = np.concatenate(
-        [np.empty((0, 2), dtype=np.int64), *(_all_pairs(model.ties.pairs[group]) for group in groups)]
-    )
-    settled = model.settled(active, asked)
+    settled = model.settled(active)
     for n_rounds in range(MAX_ROUNDS):  # noqa: B007  the last one is a result
         # what the others say of each, and of each revisit
-        missed, others = settled.left_out()
-        held = closures[active[closures]]
+        missed, others = left_out(settled, closures)
+        held = active[closures]
         poorer = _poorer(model, missed[held], others[held])
-        odds = log_odds(model, missed[closures], poorer * others[closures])
+        odds = log_odds(model, missed, poorer * others)
         together = _together(settled, [group[active[group]] for group in groups], odds, poorer)
 
         # take out the worst, or let in again what fits after all
@@ -129,16 +127,16 @@ def own_closures(model: DriftModel) -> OwnClosures:
             returned |= acquitted
         else:
             break
-        settled = model.settled(active, asked, settled)
+        settled = model.settled(active, start=settled)
     own = model.translation
-    turned = np.delete(missed[closures], np.arange(missed.shape[1])[own], axis=1)
-    squares = np.linalg.eigvalsh(np.nan_to_num(poorer * others[closures][:, own, own], nan=0.0))
+    turned = np.delete(missed, np.arange(missed.shape[1])[own], axis=1)
+    squares = np.linalg.eigvalsh(np.nan_to_num(poorer * others[:, own, own], nan=0.0))
     return OwnClosures(
         ties=closures,
         slots=model.ties.slots[closures],
         pairs=model.ties.pairs[closures],
         log_odds=np.where(active[closures], odds, np.fmin(odds, charge)),
-        missed_m=np.linalg.norm(missed[closures][:, own], axis=1),
+        missed_m=np.linalg.norm(missed[:, own], axis=1),
         missed_rad=np.linalg.norm(turned, axis=1),
         allowed_m=np.where(np.isnan(odds), np.inf, np.sqrt(np.maximum(squares[:, -1:].sum(axis=1), 0.0))),
         is_false=~active[closures],
@@ -157,13 +155,6 @@ def _revisits(model: DriftModel) -> list[NDArray[np.int64]]:
     return [group for group in found if 2 <= len(group) <= TOGETHER]
 
 
-def _all_pairs(pairs: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Every two of the keyframes in some pairs."""
-    keyframes = np.unique(pairs)
-    i, j = np.triu_indices(len(keyframes), 1)
-    return np.stack([keyframes[i], keyframes[j]], axis=1)
-
-
 def _together(settled: Settled, groups: list[NDArray[np.int64]], odds: Array, poorer: float) -> Array:
     """Log odds of every closure by what all but its revisit say of the revisit; NaN where the revisit does not agree.
 
@@ -175,7 +166,7 @@ def _together(settled: Settled, groups: list[NDArray[np.int64]], odds: Array, po
     row[model.ties.closures] = np.arange(len(odds))
     found = np.full(len(odds), np.nan)
     agreeing = [group for group in groups if len(group) >= 2 and (odds[row[group]] > 0).all()]
-    for group, (missed, others) in zip(agreeing, settled.left_out_together(agreeing), strict=True):
+    for group, (missed, others) in zip(agreeing, left_out_together(settled, agreeing), strict=True):
         found[row[group]] = _log_odds_of_one(model, group, settled.poses, missed, poorer * others)
     return found
 

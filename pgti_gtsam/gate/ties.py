@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -51,6 +51,16 @@ class Ties:
     def closures(self) -> NDArray[np.int64]:
         """Which ties are loop closures."""
         return np.flatnonzero(self.slots >= 0)
+
+    def only(self, chosen: NDArray[np.bool_]) -> Ties:
+        """Some of the ties."""
+        own = np.flatnonzero(chosen)
+        return Ties(
+            pairs=self.pairs[own],
+            measured=tuple(self.measured[k] for k in own.tolist()),
+            variances=self.variances[own],
+            slots=self.slots[own],
+        )
 
 
 def ties_of(graph: gtsam.NonlinearFactorGraph, pose_graph: PoseGraph, poses: Sequence[Any], unit: float) -> Ties:
@@ -109,3 +119,27 @@ def _angle(step: Any) -> float:
         if isinstance(step, gtsam.Pose2)
         else float(np.linalg.norm(gtsam.Rot3.Logmap(step.rotation())))
     )
+
+
+def adjoints(poses: Sequence[Any], pairs: NDArray[np.int64]) -> Array:
+    """A = Ad(T_j⁻¹ T_i) of every pair, (k, d, d)."""
+    d = 3 if isinstance(poses[0], gtsam.Pose2) else 6
+    return np.array([poses[j].between(poses[i]).AdjointMap() for i, j in pairs.tolist()]).reshape(-1, d, d)
+
+
+def errors_of(poses: Sequence[Any], pairs: NDArray[np.int64], measured: Sequence[Any]) -> Array:
+    """e = Log(z⁻¹ T_i⁻¹ T_j) of some ties, (m, d)."""
+    d = 3 if isinstance(poses[0], gtsam.Pose2) else 6
+    errors = [
+        type(z).Logmap(z.between(poses[i].between(poses[j])))
+        for (i, j), z in zip(pairs.tolist(), measured, strict=True)
+    ]
+    return np.array(errors).reshape(-1, d)
+
+
+def alike(poses: Iterable[Any]) -> tuple[Any, ...]:
+    """All poses of the plane, or all in space."""
+    found = list(poses)
+    if all(isinstance(pose, gtsam.Pose2) for pose in found):
+        return tuple(found)
+    return tuple(gtsam.Pose3(pose) if isinstance(pose, gtsam.Pose2) else pose for pose in found)

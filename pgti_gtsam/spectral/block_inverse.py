@@ -1,8 +1,8 @@
-"""Chosen blocks of the inverse of a sparse symmetric positive definite matrix of equal square blocks.
+"""What is asked of the inverse of a sparse symmetric positive definite matrix of equal square blocks.
 
-The multifrontal elimination and selected inversion of `selected_inverse`, there told with their sources, for real
-matrices whose vertices carry a few dimensions each: information matrices of pose graphs. All blocks that the graph has
-an edge for cost one factorisation and one visit from the roots to the leaves.
+The multifrontal elimination of `selected_inverse`, there told with its sources, for real matrices whose vertices carry
+a few dimensions each: information matrices of pose graphs. The covariance of a relative pose is J H⁻¹ Jᵀ; it is found
+without the inverse's own blocks, whose difference would lose the digits that a small covariance needs.
 """
 
 from __future__ import annotations
@@ -87,35 +87,6 @@ def factorise(tree: EliminationTree, diagonal: FloatArray, pairs: IntArray, bloc
     return BlockFactor(tree=tree, size=d, inverses=inverses, couplings=couplings)
 
 
-def inverse_blocks(factor: BlockFactor, pairs: IntArray) -> FloatArray:
-    """Blocks (i, j) of the inverse for edges of the graph, i = j included: (k, d, d)."""
-    tree, d = factor.tree, factor.size
-    entries = _Entries.of(tree, pairs)
-    found = np.empty((len(pairs), d, d))
-    pending: dict[int, FloatArray] = {}
-    children = tree.children()
-    needed = set(tree.closure(tree.positions[np.unique(pairs)]).tolist())
-    for k in sorted(needed, reverse=True):
-        # the inverse on the rows, which the parent knows, gives the inverse on the pivots
-        inverse, coupling = factor.inverses[k], factor.couplings[k]
-        rest, cut = pending.pop(k, np.empty((0, 0))), len(inverse)
-        whole = np.empty((cut + len(rest), cut + len(rest)))
-        cross = coupling @ rest
-        whole[:cut, :cut] = inverse + cross @ coupling.T
-        whole[:cut, cut:] = -cross
-        whole[cut:, :cut] = -cross.T
-        whole[cut:, cut:] = rest
-
-        # hand on what the children need, and take the blocks that were asked for
-        front = _blocks(whole, d)
-        for child, into in children[k]:
-            if child in needed:
-                pending[child] = _flat(front[np.ix_(into, into)])
-        own, i, j = entries.at(k)
-        found[own] = front[i, j]
-    return found
-
-
 def solve(factor: BlockFactor, b: FloatArray) -> FloatArray:
     """The inverse times b, (n, d) both."""
     tree = factor.tree
@@ -173,8 +144,8 @@ def _half_solved(factor: BlockFactor, ends: IntArray, jacobians: FloatArray) -> 
     place[np.repeat(tree.starts[visited] - firsts[:-1], widths) + np.arange(firsts[-1])] = np.arange(firsts[-1])
     x = np.zeros((firsts[-1], d, k, d))
     for end in (0, 1):
-        np.add.at(x, (place[tree.positions[ends[:, end]]], slice(None), np.arange(k)), jacobians[:, end].swapaxes(1, 2))
-    x = x.reshape(-1, d, k * d)
+        x[place[tree.positions[ends[:, end]]], :, np.arange(k)] += jacobians[:, end].swapaxes(1, 2)
+    x = x.reshape(firsts[-1], d, k * d)
 
     # from the leaves to the roots
     for own, start, width in zip(visited.tolist(), firsts.tolist(), widths.tolist(), strict=False):

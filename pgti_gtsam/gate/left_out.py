@@ -1,0 +1,68 @@
+"""What all other ties of a map predict of each of its ties, from one factorisation.
+
+With the residual r at the optimum, its tolerance R, the covariance C of the relative pose and S = R − C, a tie misses
+what the others predict by e = R S⁻¹ r, and the covariance of that prediction is R S⁻¹ R − R (leave-one-out residuals of
+linear least squares: Cook and Weisberg, Residuals and Influence in Regression, 1982, chapter 2).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pgti_gtsam.gate.drift_model import Settled
+from pgti_gtsam.spectral.laplacian import connected_components
+
+LEAST_REST = 1e-6
+"""Least eigenvalue of S in units of R: the rounding of the covariances. What the others predict is uncertain by 1000
+tolerances there, and how uncertain exactly does not matter."""
+
+Array = NDArray[np.float64]
+
+
+def left_out(settled: Settled, ties: NDArray[np.int64]) -> tuple[Array, Array]:
+    """By how much some ties miss what all others predict, (k, d), and the covariance of that, (k, d, d).
+
+    A tie that pulls at nothing misses by its residual. Where no other tie leads, the covariance is NaN.
+    """
+    model, active = settled.model, settled.active[ties]
+    spread, residuals = settled.covariances(model.ties.pairs[ties]), settled.residuals[ties]
+    missed, others = _predicted(residuals, np.sqrt(model.ties.variances[ties]), np.nan_to_num(spread, nan=0.0))
+    others[np.isin(ties, _alone(settled))] = np.nan
+    return np.where(active[:, None], missed, residuals), np.where(active[:, None, None], others, spread)
+
+
+def left_out_together(settled: Settled, groups: Sequence[NDArray[np.int64]]) -> list[tuple[Array, Array]]:
+    """By how much the ties of each group miss what all others predict, (g, d), and its covariance, (g d, g d)."""
+    ties, found = settled.model.ties, []
+    spreads = settled.joint_covariances([ties.pairs[group] for group in groups])
+    for group, spread in zip(groups, spreads, strict=True):
+        missed, others = _predicted(
+            settled.residuals[group].reshape(1, -1), np.sqrt(ties.variances[group]).reshape(1, -1), spread[None]
+        )
+        found.append((missed.reshape(len(group), -1), others[0]))
+    return found
+
+
+def _alone(settled: Settled) -> NDArray[np.int64]:
+    """Active closures without which the map would fall apart."""
+    ties, active, n = settled.model.ties, settled.active, len(settled.poses)
+    parts, part = connected_components(n, ties.pairs[active & (ties.slots < 0)])
+    between = np.flatnonzero(active & (ties.slots >= 0) & (part[ties.pairs[:, 0]] != part[ties.pairs[:, 1]]))
+    ends = part[ties.pairs[between]].astype(np.int64)
+    n_parts = connected_components(parts, ends)[0]
+    _, first, count = np.unique(np.sort(ends, axis=1), axis=0, return_index=True, return_counts=True)
+    single = first[count == 1]
+    needed = [k for k in single.tolist() if connected_components(parts, np.delete(ends, k, axis=0))[0] > n_parts]
+    return between[needed]
+
+
+def _predicted(residuals: Array, roots: Array, spread: Array) -> tuple[Array, Array]:
+    """R S⁻¹ r and R S⁻¹ R − R with S = R − C, of (k, d) residuals r, roots of R and (k, d, d) covariances C."""
+    rest, axes = np.linalg.eigh(np.eye(roots.shape[1]) - spread / (roots[:, :, None] * roots[:, None, :]))
+    gain = 1 / np.clip(rest, LEAST_REST, 1.0)  # S⁻¹ in units of R, along the axes
+    along = axes.swapaxes(1, 2) @ (residuals / roots)[:, :, None]
+    missed = roots * (axes @ (gain[:, :, None] * along))[:, :, 0]
+    return missed, roots[:, :, None] * (axes * (gain - 1)[:, None, :] @ axes.swapaxes(1, 2)) * roots[:, None, :]
