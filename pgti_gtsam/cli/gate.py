@@ -24,7 +24,8 @@ from pgti_gtsam.cli.options import (
     read_map,
     split_names,
 )
-from pgti_gtsam.datasets import Dataset, serialized, write_g2o
+from pgti_gtsam.datasets import Dataset, write_g2o
+from pgti_gtsam.datasets.formats import gtsam_archive
 from pgti_gtsam.errors import InvalidOptionError
 from pgti_gtsam.gate import ClosureDecision, GatedGraph, GateOptions, LoopClosureGate, gate_graph
 from pgti_gtsam.gate.batch import leave_one_out
@@ -63,7 +64,7 @@ def gate(
     with counted() as tell:
         tell("reading", 0, 1)
         dataset, radii = read_map(file, values, radius, cloud, every)
-        if out_values is not None and dataset.format != serialized.FORMAT:
+        if out_values is not None and dataset.format != gtsam_archive.FORMAT:
             raise InvalidOptionError(f"expected --out-values with a GTSAM archive, got {dataset.format}: use --out")
         gated = gate_graph(
             dataset.graph,
@@ -183,11 +184,11 @@ def _scores(decisions: Mapping[int, ClosureDecision], tell: Tell) -> dict[int, d
 def _write_gated(dataset: Dataset, gated: GatedGraph, out: Path | None, out_values: Path | None) -> Mapping[str, int]:
     """Write the gated graph in the kind of format that it came in; returns what could not be written."""
     if out_values is not None:
-        serialized.write_archive(gated.values, out_values)
+        gtsam_archive.write_archive(gated.values, out_values)
     if out is None:
         return {}
-    if dataset.format == serialized.FORMAT:
-        serialized.write_archive(gated.graph, out)
+    if dataset.format == gtsam_archive.FORMAT:
+        gtsam_archive.write_archive(gated.graph, out)
         return {}
     written = write_g2o(gated.graph, gated.values, out)
     own = {

@@ -8,8 +8,9 @@ from pathlib import Path
 
 import gtsam
 
-from pgti_gtsam.datasets import carmen, flirtlib, g2o, kitti_stereo, robust_slam, serialized, toro, victoria_park
+from pgti_gtsam.datasets import robust_slam
 from pgti_gtsam.datasets.dataset import Dataset
+from pgti_gtsam.datasets.formats import carmen, flirtlib, g2o, gtsam_archive, kitti_stereo, toro, victoria_park
 from pgti_gtsam.datasets.text import UNDERSTOOD, TextFile, is_number, quote, read_text, split_lines
 from pgti_gtsam.errors import FileFormatError, InvalidOptionError
 
@@ -48,8 +49,8 @@ def read(path: Path | str, values_path: Path | str | None = None) -> Dataset:
     path = Path(path)
     text = read_text(path)
     file = split_lines(path, text)
-    if serialized.is_archive(text):
-        return serialized.parse(file, text, None if values_path is None else Path(values_path))
+    if gtsam_archive.is_archive(text):
+        return gtsam_archive.parse(file, text, None if values_path is None else Path(values_path))
     if values_path is not None:
         raise file.error("is no GTSAM archive, and brings its own values: leave the file of values out")
     dataset = _parser(file)(file)

@@ -11,9 +11,9 @@ import numpy as np
 
 from pgti_gtsam.datasets.assembly import assemble
 from pgti_gtsam.datasets.dataset import Dataset
+from pgti_gtsam.datasets.formats.toro import planar_edges, vertices
 from pgti_gtsam.datasets.scans import read_scan, smallest_range
 from pgti_gtsam.datasets.text import TextFile, note_ignored
-from pgti_gtsam.datasets.toro import planar_edges, vertices
 
 FORMAT = "FLIRTLib scan graph"
 TAGS = {"VERTEX2", "EDGE2", "ROBOTLASER1"}
