@@ -11,17 +11,10 @@ from functools import cached_property
 import gtsam
 import numpy as np
 
+from pgti_gtsam.factor_graphs import BETWEEN, factors_of, joined
 from pgti_gtsam.gate.evidence import Change, Contacts, Evidence, Seconds, contacts, local_rise
 from pgti_gtsam.gate.survey import Survey
-from pgti_gtsam.gate.trial import (
-    BETWEEN,
-    TRIAL_ITERATIONS,
-    factors_of,
-    joined,
-    largest_strain_m,
-    optimised,
-    still_held,
-)
+from pgti_gtsam.gate.trial import TRIAL_ITERATIONS, largest_strain_m, optimised, still_held
 from pgti_gtsam.pose_graph import PoseGraph
 
 

@@ -9,12 +9,13 @@ import gtsam
 import numpy as np
 
 from pgti_gtsam.errors import InvalidOptionError
+from pgti_gtsam.factor_graphs import BETWEEN, joined, without
 from pgti_gtsam.gate.closure_gate import ClosureDecision, GroupDecision, LoopClosureGate
 from pgti_gtsam.gate.evidence import travelled
 from pgti_gtsam.gate.past import Past
 from pgti_gtsam.gate.revisits import revisits
 from pgti_gtsam.gate.survey import Radii
-from pgti_gtsam.gate.trial import BETWEEN, joined, optimised
+from pgti_gtsam.gate.trial import optimised
 from pgti_gtsam.pose_graph import PoseGraph, key_label
 
 DOUBTFUL = 0.75
@@ -95,14 +96,14 @@ def gate_graph(
     pose_graph = gate.adapted(graph, values, radii)
     ends = closure_ends(pose_graph, graph)
     slots = list(ends)
-    alone = _without(graph, slots)
+    alone = without(graph, slots)
     _check_tied(alone, pose_graph)
     closures = [_single(graph.at(slot)) for slot in slots]
     past = Past.of(alone, optimised(alone, values), pose_graph.keys, radii)
     judged, best = judge_all(gate, past, closures, list(ends.values()), progress)
     decisions = dict(zip(slots, judged, strict=True))
     rejected = [slot for slot, decision in decisions.items() if not decision.accepted]
-    return GatedGraph(graph=_without(graph, rejected), values=best, decisions=decisions)
+    return GatedGraph(graph=without(graph, rejected), values=best, decisions=decisions)
 
 
 def leave_one_out(
@@ -135,7 +136,7 @@ def leave_one_out(
     best = optimised(graph, values) if slots else values
     decisions, alone = {}, []
     for done, slot in enumerate(slots):
-        closure, rest = _single(graph.at(slot)), _without(graph, [slot])
+        closure, rest = _single(graph.at(slot)), without(graph, [slot])
         if set(rest.keyVector()).issuperset(closure.keyVector()):
             decisions[slot] = gate.evaluate(rest, best, closure, radii)
         else:
@@ -218,13 +219,6 @@ def _instead(
     first = gate.judge_group(before, offered)
     second = gate.judge_group(first.survey, [closures[k] for k in held])
     return dict(zip([*revisit, *held], [*first.decisions, *second.decisions], strict=True)), second
-
-
-def _without(graph: gtsam.NonlinearFactorGraph, slots: list[int]) -> gtsam.NonlinearFactorGraph:
-    fewer = gtsam.NonlinearFactorGraph(graph)
-    for slot in slots:
-        fewer.remove(slot)
-    return fewer
 
 
 def _check_tied(graph: gtsam.NonlinearFactorGraph, pose_graph: PoseGraph) -> None:

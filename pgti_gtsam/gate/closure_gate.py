@@ -11,6 +11,7 @@ import gtsam
 import numpy as np
 
 from pgti_gtsam.adapter import from_gtsam
+from pgti_gtsam.factor_graphs import checked_closure, joined
 from pgti_gtsam.gate.attempt import Attempt
 from pgti_gtsam.gate.evidence import Change, Evidence, Seconds
 from pgti_gtsam.gate.rules import (
@@ -24,7 +25,6 @@ from pgti_gtsam.gate.rules import (
     no_objection,
 )
 from pgti_gtsam.gate.survey import Radii, Survey, survey
-from pgti_gtsam.gate.trial import checked_closure, joined
 from pgti_gtsam.integrity import Integrity, assess
 from pgti_gtsam.pose_graph import PoseGraph
 

@@ -9,13 +9,14 @@ import gtsam
 
 from pgti_gtsam.adapter.values import read_keyframes
 from pgti_gtsam.errors import InvalidClosureError, InvalidOptionError, UnsolvableGraphError
+from pgti_gtsam.factor_graphs import factors_of, joined, keys_of
 from pgti_gtsam.gate.batch import judge_all
 from pgti_gtsam.gate.closure_gate import ClosureDecision, GroupDecision, LoopClosureGate
 from pgti_gtsam.gate.evidence import travelled
 from pgti_gtsam.gate.past import Past
 from pgti_gtsam.gate.revisits import revisits
 from pgti_gtsam.gate.survey import Radii
-from pgti_gtsam.gate.trial import factors_of, joined, keys_of, optimised
+from pgti_gtsam.gate.trial import optimised
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pgti_gtsam.adapter.values import typed_value
+from pgti_gtsam.factor_graphs import factors_of, keys_of
 from pgti_gtsam.gate.survey import Radii
-from pgti_gtsam.gate.trial import factors_of, keys_of
 from pgti_gtsam.gate.yardstick import pose_at, poses_of
 
 

@@ -14,8 +14,9 @@ import numpy as np
 from pgti_gtsam.adapter import from_gtsam
 from pgti_gtsam.adapter.values import read_keyframes
 from pgti_gtsam.errors import MissingValueError
+from pgti_gtsam.factor_graphs import BETWEEN, factors_of, joined, keys_of
 from pgti_gtsam.gate.evidence import Contacts, contacts
-from pgti_gtsam.gate.trial import BETWEEN, anchors, factors_of, joined, keys_of, largest_strain_m, optimised
+from pgti_gtsam.gate.trial import anchors, largest_strain_m, optimised
 from pgti_gtsam.gate.yardstick import Yardstick, yardstick
 from pgti_gtsam.integrity import Integrity, assess
 from pgti_gtsam.pose_graph import EdgeSource, PoseGraph

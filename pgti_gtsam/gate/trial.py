@@ -9,9 +9,8 @@ import gtsam
 import numpy as np
 from scipy.sparse import coo_array, csgraph
 
-from pgti_gtsam.errors import InvalidClosureError, UnsolvableGraphError
-
-BETWEEN = (gtsam.BetweenFactorPose2, gtsam.BetweenFactorPose3)
+from pgti_gtsam.errors import UnsolvableGraphError
+from pgti_gtsam.factor_graphs import BETWEEN, factors_of, joined, keys_of
 
 MAX_ITERATIONS = 100
 """Levenberg-Marquardt steps of a map without a candidate, which may start far from its optimum."""
@@ -19,58 +18,6 @@ MAX_ITERATIONS = 100
 TRIAL_ITERATIONS = 12
 """Steps of a map with a candidate, from the optimum without it. A closure that is right settles in fewer than ten;
 one that is wrong may go on tearing at the map for long, and is no less wrong where it is stopped."""
-
-
-def joined(*graphs: gtsam.NonlinearFactorGraph) -> gtsam.NonlinearFactorGraph:
-    """New graph of the same factors, slot behind slot.
-
-    The factors are shared, not cloned: those of smart landmarks cannot be, and none is changed here.
-    """
-    together = gtsam.NonlinearFactorGraph()
-    for graph in graphs:
-        together.push_back(graph)
-    return together
-
-
-def factors_of(graph: gtsam.NonlinearFactorGraph) -> list[Any]:
-    """Factors of a graph, empty slots left out."""
-    return [factor for factor in map(graph.at, range(graph.size())) if factor is not None]
-
-
-def checked_closure(closure: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam.NonlinearFactorGraph:
-    """The closure, if it can be tried.
-
-    Raises
-    ------
-    InvalidClosureError
-        It holds no factor, or one that refers to a key without a value, measures something that is not
-        finite, or has no finite error.
-    """
-    factors = factors_of(closure)
-    if not factors:
-        raise InvalidClosureError("expected a closure of at least one factor, got none; leave it out")
-    for factor in factors:
-        missing = [key for key in keys_of(factor) if not values.exists(key)]
-        if missing:
-            raise InvalidClosureError(
-                f"expected a closure between keys of the map, got {_named(factor)}, of which "
-                f"{gtsam.DefaultKeyFormatter(missing[0])} has no value; add the keyframe first"
-            )
-        if not np.isfinite(factor.error(values)):
-            raise InvalidClosureError(
-                f"expected a closure with finite measurements, got {_named(factor)} with error {factor.error(values)}"
-            )
-    return closure
-
-
-def keys_of(factor: Any) -> list[int]:
-    """Keys of a factor."""
-    return list(factor.keys())
-
-
-def _named(factor: Any) -> str:
-    keys = ", ".join(gtsam.DefaultKeyFormatter(key) for key in keys_of(factor))
-    return f"{type(factor).__name__} of {keys}"
 
 
 def optimised(

@@ -19,8 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pgti_gtsam.adapter.values import read_keyframes, typed_value
+from pgti_gtsam.factor_graphs import BETWEEN, factors_of, joined, keys_of
 from pgti_gtsam.gate.evidence import free_space_unit
-from pgti_gtsam.gate.trial import BETWEEN, anchors, factors_of, joined, keys_of, optimised, still_held
+from pgti_gtsam.gate.trial import anchors, optimised, still_held
 from pgti_gtsam.pose_graph import EdgeSource, PoseGraph
 
 DRIFT = 0.03
