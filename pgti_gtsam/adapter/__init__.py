@@ -13,6 +13,7 @@ from pgti_gtsam.adapter.factors import FactorReader
 from pgti_gtsam.adapter.families import Family
 from pgti_gtsam.adapter.values import Keyframes, read_keyframes
 from pgti_gtsam.errors import InvalidOptionError, InvalidValueError, NoRadiusError
+from pgti_gtsam.factor_graphs import check_map
 from pgti_gtsam.pose_graph import Adaptation, EdgeSource, PoseGraph
 from pgti_gtsam.sightings import Sightings, covisibility_edges, minimum_sphere_radii
 from pgti_gtsam.track import track_edges
@@ -78,6 +79,7 @@ def from_gtsam(
         A position or radius that is not finite, a radius below zero or for no keyframe; an
         unknown source of edges, or fewer than one shared landmark.
     """
+    check_map(graph, values)
     if min_shared_landmarks is not None and min_shared_landmarks < 1:
         raise InvalidOptionError(f"expected min_shared_landmarks of at least 1, got {min_shared_landmarks}")
     chosen = None if edges is None else _checked_sources(edges)
@@ -128,6 +130,11 @@ def _checked_radii(
     keyframes: Keyframes, seen: NDArray[np.float64], given: float | Mapping[int, float] | None
 ) -> NDArray[np.float64]:
     """Radii from landmarks, replaced by given ones."""
+    if not isinstance(given, Mapping | int | float | np.integer | np.floating | None) or isinstance(given, bool):
+        raise InvalidOptionError(
+            "expected radii as one number of metres or as a mapping from keys to metres, "
+            f"got an object of type {type(given).__name__}"
+        )
     by_key = given if isinstance(given, Mapping) else {} if given is None else dict.fromkeys(keyframes.index, given)
     radii = seen.copy()
     for key, radius in by_key.items():

@@ -19,6 +19,7 @@ from scipy.sparse import csgraph
 
 from pgti_gtsam.diffusion.block_laplacian import normal_equations
 from pgti_gtsam.diffusion.linearisation import Linearisation, in_space
+from pgti_gtsam.factor_graphs import joined
 
 NO_MOTION = 1e-9
 """A motion of a part that changes errors by less, relative to what moving each of its poses alone would,
@@ -108,8 +109,7 @@ def grounded_graph(
     graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, added: Sequence[Ground]
 ) -> gtsam.NonlinearFactorGraph:
     """New GTSAM graph of the same factors and the grounds, for its optimisers."""
-    together = gtsam.NonlinearFactorGraph()
-    together.push_back(graph)
+    together = joined(graph)
     for ground in added:
         together.push_back(gtsam.LinearContainerFactor(ground.linear_factor(), values))
     return together

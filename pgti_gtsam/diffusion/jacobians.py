@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from pgti_gtsam.diffusion.linearisation import GROUPS
+from pgti_gtsam.factor_graphs import slots_of
 
 BETWEEN = {getattr(gtsam, f"BetweenFactor{name}"): group for name, group in GROUPS.items()}
 
@@ -48,7 +49,7 @@ def equation_11(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> Equa
     """Check Eq. 11 on every between factor of Pose2, Pose3 and Similarity3, without its noise model."""
     found = [
         (slot, *_deviations(factor, group, values))
-        for slot, factor in enumerate(map(graph.at, range(graph.size())))
+        for slot, factor in slots_of(graph)
         if (group := BETWEEN.get(type(factor))) is not None
     ]
     table = np.array(found, dtype=float).reshape(-1, 5)

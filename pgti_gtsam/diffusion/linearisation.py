@@ -24,6 +24,7 @@ from pgti_gtsam.errors import (
     NoPoseError,
     UnsolvableGraphError,
 )
+from pgti_gtsam.factor_graphs import slots_of
 
 Frame = Literal["body", "spatial"]
 
@@ -110,9 +111,7 @@ def linearise(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> Linear
     others = sorted(set(dims) - set(keys))
     starts = len(keys) * d + np.concatenate([[0], np.cumsum([dims[key] for key in others])]).astype(np.int64)
     column = {key: i * d for i, key in enumerate(keys)} | dict(zip(others, starts.tolist(), strict=False))
-    blocks = [
-        (slot, *_linearised(slot, graph.at(slot), values, dims)) for slot in range(graph.size()) if graph.at(slot)
-    ]
+    blocks = [(slot, *_linearised(slot, factor, values, dims)) for slot, factor in slots_of(graph)]
     if not blocks:
         raise InvalidGraphError(
             "expected a graph with factors, got none: there is nothing that heat could pass through"
@@ -241,8 +240,7 @@ def robust_weights(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> d
     Weights are those at the values; they change as the flow goes on, and the linearised flow does not know.
     """
     weights = {}
-    for slot in range(graph.size()):
-        factor: Any = graph.at(slot)
+    for slot, factor in slots_of(graph):
         model = factor.noiseModel() if hasattr(factor, "noiseModel") else None
         if isinstance(model, gtsam.noiseModel.Robust):
             whitened = model.noise().whiten(factor.unwhitenedError(values))

@@ -9,7 +9,7 @@ import gtsam
 import numpy as np
 
 from pgti_gtsam.errors import InvalidOptionError
-from pgti_gtsam.factor_graphs import BETWEEN, joined, without
+from pgti_gtsam.factor_graphs import BETWEEN, graph_of, joined, without
 from pgti_gtsam.gate.closure_gate import ClosureDecision, GroupDecision, LoopClosureGate
 from pgti_gtsam.gate.evidence import travelled
 from pgti_gtsam.gate.past import Past
@@ -98,7 +98,7 @@ def gate_graph(
     slots = list(ends)
     alone = without(graph, slots)
     _check_tied(alone, pose_graph)
-    closures = [_single(graph.at(slot)) for slot in slots]
+    closures = [graph_of([graph.at(slot)]) for slot in slots]
     past = Past.of(alone, optimised(alone, values), pose_graph.keys, radii)
     judged, best = judge_all(gate, past, closures, list(ends.values()), progress)
     decisions = dict(zip(slots, judged, strict=True))
@@ -136,7 +136,7 @@ def leave_one_out(
     best = optimised(graph, values) if slots else values
     decisions, alone = {}, []
     for done, slot in enumerate(slots):
-        closure, rest = _single(graph.at(slot)), without(graph, [slot])
+        closure, rest = graph_of([graph.at(slot)]), without(graph, [slot])
         if set(rest.keyVector()).issuperset(closure.keyVector()):
             decisions[slot] = gate.evaluate(rest, best, closure, radii)
         else:
@@ -229,9 +229,3 @@ def _check_tied(graph: gtsam.NonlinearFactorGraph, pose_graph: PoseGraph) -> Non
             f"expected every keyframe to be tied by more than loop closures, got {key_label(free)}, which only they "
             "tie; add its odometry, or gate closures one by one with LoopClosureGate"
         )
-
-
-def _single(factor: gtsam.NonlinearFactor) -> gtsam.NonlinearFactorGraph:
-    closure = gtsam.NonlinearFactorGraph()
-    closure.push_back(factor)
-    return closure

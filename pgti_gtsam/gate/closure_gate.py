@@ -11,7 +11,8 @@ import gtsam
 import numpy as np
 
 from pgti_gtsam.adapter import from_gtsam
-from pgti_gtsam.factor_graphs import checked_closure, joined
+from pgti_gtsam.errors import InvalidOptionError
+from pgti_gtsam.factor_graphs import Closure, check_map, checked_closure, closure_graphs, joined
 from pgti_gtsam.gate.attempt import Attempt
 from pgti_gtsam.gate.evidence import Change, Evidence, Seconds
 from pgti_gtsam.gate.rules import (
@@ -135,6 +136,10 @@ class LoopClosureGate:
 
     options: GateOptions = field(default_factory=GateOptions)
 
+    def __post_init__(self) -> None:
+        if not isinstance(self.options, GateOptions):
+            raise InvalidOptionError(f"expected GateOptions as the options of a gate, got {self.options!r}")
+
     def adapted(self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, radii: Radii | None = None) -> PoseGraph:
         """A map as the gate reads it: `from_gtsam` with the gate's options."""
         options = self.options
@@ -164,7 +169,7 @@ class LoopClosureGate:
         self,
         graph: gtsam.NonlinearFactorGraph,
         values: gtsam.Values,
-        closure: gtsam.NonlinearFactorGraph,
+        closure: Closure,
         radii: Radii | None = None,
     ) -> ClosureDecision:
         """Judge one closure. Graph, values and closure stay untouched.
@@ -175,42 +180,45 @@ class LoopClosureGate:
             The map without the closure. Components that no prior holds are held at a pose of theirs.
         values : gtsam.Values
             An estimate; the gate optimises its own copy from there.
-        closure : gtsam.NonlinearFactorGraph
-            Factors between keyframes of the map, which stand or fall together. One that repeats a tie
-            which the map already has changes nothing and is accepted; odometry is judged like any other.
+        closure : gtsam.NonlinearFactor, sequence of them, or gtsam.NonlinearFactorGraph
+            Factors between keyframes of the map, which stand or fall together; empty slots are passed over. One
+            that repeats a tie which the map already has changes nothing and is accepted; odometry is judged like
+            any other.
         radii : float or mapping from key to float, m, optional
             As in `from_gtsam`.
 
         Raises
         ------
         InvalidClosureError
-            An empty closure, a key without a value, a measurement that is not finite.
+            An empty closure or another type, a key without a value or with one of a type that the factor does not
+            take, a measurement that is not finite.
         UnsolvableGraphError
             The map has no optimum.
         PgtiError
             Those of `from_gtsam`.
         """
-        checked_closure(closure, values)
-        return self.judge(self.survey(graph, values, radii), closure)
+        check_map(graph, values)
+        checked = checked_closure(closure, values)
+        return self.judge(self.survey(graph, values, radii), checked)
 
     def evaluate_many(
         self,
         graph: gtsam.NonlinearFactorGraph,
         values: gtsam.Values,
-        closures: Sequence[gtsam.NonlinearFactorGraph],
+        closures: Sequence[Closure],
         radii: Radii | None = None,
     ) -> list[ClosureDecision]:
         """Judge independent candidates, each against the same map; decisions come in their order."""
-        for closure in closures:
-            checked_closure(closure, values)
+        check_map(graph, values)
+        checked = [checked_closure(closure, values) for closure in closure_graphs(closures)]
         before = self.survey(graph, values, radii)
-        return [self.judge(before, closure) for closure in closures]
+        return [self.judge(before, closure) for closure in checked]
 
     def evaluate_group(
         self,
         graph: gtsam.NonlinearFactorGraph,
         values: gtsam.Values,
-        closures: Sequence[gtsam.NonlinearFactorGraph],
+        closures: Sequence[Closure],
         radii: Radii | None = None,
     ) -> GroupDecision:
         """Judge closures that arrived together: all at once, and where that fails in parts.
@@ -219,14 +227,14 @@ class LoopClosureGate:
         A part that fails is halved, and its second half judged with what the first one left, down to single
         closures, so that one bad match does not sink nine good ones.
         """
-        for closure in closures:
-            checked_closure(closure, values)
-        return self.judge_group(self.survey(graph, values, radii), closures)
+        check_map(graph, values)
+        checked = [checked_closure(closure, values) for closure in closure_graphs(closures)]
+        return self.judge_group(self.survey(graph, values, radii), checked)
 
-    def judge(self, before: Survey, closure: gtsam.NonlinearFactorGraph) -> ClosureDecision:
+    def judge(self, before: Survey, closure: Closure) -> ClosureDecision:
         """Judge one closure against a map that was surveyed."""
-        checked_closure(closure, before.values)
-        attempt, options = Attempt(before=before, closure=joined(closure)), self.options
+        attempt = Attempt(before=before, closure=checked_closure(closure, before.values))
+        options = self.options
         if options.rule == "free_space" and hopeless(attempt.bending, options):
             return ClosureDecision(
                 accepted=False,
@@ -248,24 +256,25 @@ class LoopClosureGate:
         reasons = objections or [no_objection(evidence)]
         return replace(tried, accepted=not objections, reasons=tuple(reasons))
 
-    def judge_group(self, before: Survey, closures: Sequence[gtsam.NonlinearFactorGraph]) -> GroupDecision:
+    def judge_group(self, before: Survey, closures: Sequence[Closure]) -> GroupDecision:
         """Judge closures that arrived together against a map that was surveyed."""
+        offered = closure_graphs(closures)
         decisions: dict[int, ClosureDecision] = {}
-        parts = [list(range(len(closures)))]
+        parts = [list(range(len(offered)))]
         while parts:
             part = parts.pop()
             if not part:
                 continue
-            decision = self.judge(before, joined(*(closures[k] for k in part)))
+            decision = self.judge(before, joined(*(offered[k] for k in part)))
             if decision.accepted:
                 before = admitted(before, decision)
             if decision.accepted or len(part) == 1:
                 decisions |= dict.fromkeys(part, decision)
             else:
-                ordered = part if len(part) < len(closures) else most_trusted_first(before, closures)
+                ordered = part if len(part) < len(offered) else most_trusted_first(before, offered)
                 middle = len(part) // 2
                 parts += [ordered[middle:], ordered[:middle]]
-        return GroupDecision(decisions=tuple(decisions[k] for k in range(len(closures))), survey=before)
+        return GroupDecision(decisions=tuple(decisions[k] for k in range(len(offered))), survey=before)
 
 
 def admitted(before: Survey, decision: ClosureDecision) -> Survey:

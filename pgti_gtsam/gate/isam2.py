@@ -9,7 +9,16 @@ import gtsam
 
 from pgti_gtsam.adapter.values import read_keyframes
 from pgti_gtsam.errors import InvalidClosureError, InvalidOptionError, UnsolvableGraphError
-from pgti_gtsam.factor_graphs import factors_of, joined, keys_of
+from pgti_gtsam.factor_graphs import (
+    Closure,
+    check_map,
+    closure_graphs,
+    factors_of,
+    graph_of,
+    joined,
+    keys_of,
+    without,
+)
 from pgti_gtsam.gate.batch import judge_all
 from pgti_gtsam.gate.closure_gate import ClosureDecision, GroupDecision, LoopClosureGate
 from pgti_gtsam.gate.evidence import travelled
@@ -32,7 +41,7 @@ class GatedUpdate:
     slots : tuple of tuples of int
         Slots of the factors of each closure in the smoother; none for a rejected one.
     factor_slots : tuple of int
-        Slots of the other factors.
+        Slots of the other factors, empty ones left out.
     """
 
     decisions: tuple[ClosureDecision, ...]
@@ -77,6 +86,14 @@ class _Offer:
     closure: gtsam.NonlinearFactorGraph
     slots: tuple[int, ...] = ()
 
+    def standing(self, graph: gtsam.NonlinearFactorGraph) -> list[int]:
+        """Slots of a smoother's graph that hold the closure's own factors still.
+
+        The factors themselves are compared and not what they measure: two robust noise models are never equal to GTSAM.
+        """
+        pairs = zip(self.slots, factors_of(self.closure), strict=False)
+        return [slot for slot, factor in pairs if slot < graph.size() and graph.at(slot) is factor]
+
 
 @dataclass(slots=True)
 class GatedISAM2:
@@ -103,11 +120,19 @@ class GatedISAM2:
     radii: Radii | None = None
     _offers: list[_Offer] = field(default_factory=list, init=False)
 
+    def __post_init__(self) -> None:
+        if not isinstance(self.smoother, gtsam.ISAM2):
+            raise InvalidOptionError(
+                f"expected a gtsam.ISAM2 as the smoother, got {self.smoother!r}; radii have a name: GatedISAM2(radii=…)"
+            )
+        if not isinstance(self.gate, LoopClosureGate):
+            raise InvalidOptionError(f"expected a LoopClosureGate as the gate, got {self.gate!r}")
+
     def update(
         self,
         factors: gtsam.NonlinearFactorGraph | None = None,
         values: gtsam.Values | None = None,
-        closures: Sequence[gtsam.NonlinearFactorGraph] = (),
+        closures: Sequence[Closure] = (),
         *,
         radii: Mapping[int, float] | None = None,
     ) -> GatedUpdate:
@@ -117,7 +142,7 @@ class GatedISAM2:
         ----------
         factors, values : optional
             New factors, not gated, and first values of the new variables.
-        closures : sequence of gtsam.NonlinearFactorGraph
+        closures : sequence of gtsam.NonlinearFactorGraph, factors or lists of factors
             Each holds the factors of one closure, which stand or fall together.
         radii : mapping from key to float, m, optional
             Radii of new keyframes.
@@ -127,23 +152,30 @@ class GatedISAM2:
         InvalidClosureError, UnsolvableGraphError, PgtiError
             Those of `LoopClosureGate.evaluate`, and an update that iSAM2 refuses. Nothing has changed then.
         """
-        factors = gtsam.NonlinearFactorGraph() if factors is None else factors
+        # judge the closures on a copy
         values = gtsam.Values() if values is None else values
+        factors = gtsam.NonlinearFactorGraph() if factors is None else factors
+        check_map(factors, values)
+        factors, offered = graph_of(factors_of(factors)), closure_graphs(closures)
         grown = self._grown_radii(radii)
-        group = self._judged(factors, values, closures, grown) if closures else None
-        accepted = [closures[k] for k in group.accepted] if group else []
+        group = self._judged(factors, values, offered, grown) if offered else None
+        accepted = [offered[k] for k in group.accepted] if group else []
+
+        # one step of the smoother with those that passed
         slots = self._step(joined(factors, *accepted), values, [])
         own, rest = slots[: factors.size()], slots[factors.size() :]
+
+        # remember where they stand
         first = len(self._offers)
-        self._offers += [_Offer(joined(closure)) for closure in closures]
+        self._offers += [_Offer(closure) for closure in offered]
         for k in group.accepted if group else ():
-            self._offers[first + k].slots, rest = rest[: closures[k].size()], rest[closures[k].size() :]
+            self._offers[first + k].slots, rest = rest[: offered[k].size()], rest[offered[k].size() :]
         self.radii = grown
-        offered = range(first, len(self._offers))
+        numbers = range(first, len(self._offers))
         return GatedUpdate(
             decisions=group.decisions if group else (),
-            closures=tuple(offered),
-            slots=tuple(self._offers[number].slots for number in offered),
+            closures=tuple(numbers),
+            slots=tuple(self._offers[number].slots for number in numbers),
             factor_slots=own,
         )
 
@@ -274,14 +306,13 @@ class GatedISAM2:
         offer = self._offer(number)
         if not offer.slots:
             raise InvalidClosureError(f"expected the number of a closure that is in, got {number}, which is not")
-        graph = self.smoother.getFactorsUnsafe()
-        for slot, factor in zip(offer.slots, factors_of(offer.closure), strict=True):
-            found = graph.at(slot) if slot < graph.size() else None
-            if found is None or not found.equals(factor, 0.0):
-                raise InvalidClosureError(
-                    f"expected closure {number} in slot {slot}, got another factor or none: "
-                    "the smoother was changed from outside"
-                )
+        standing = offer.standing(self.smoother.getFactorsUnsafe())
+        gone = next((slot for slot in offer.slots if slot not in standing), None)
+        if gone is not None:
+            raise InvalidClosureError(
+                f"expected closure {number} in slot {gone}, got another factor or none: "
+                "the smoother was changed from outside"
+            )
 
     def _check_out(self, number: int) -> None:
         if self._offer(number).slots:
@@ -294,9 +325,8 @@ class GatedISAM2:
 
     def _check_held(self, removed: Sequence[int]) -> None:
         """Refuse to remove the last factors of a variable, which iSAM2 would silently drop with them."""
-        graph, gone = self.smoother.getFactorsUnsafe(), set(removed)
-        slots = (slot for slot in range(graph.size()) if slot not in gone and graph.at(slot) is not None)
-        held = {key for slot in slots for key in keys_of(graph.at(slot))}
+        graph = self.smoother.getFactorsUnsafe()
+        held = {key for factor in factors_of(without(graph, removed)) for key in keys_of(factor)}
         free = next((key for slot in removed for key in keys_of(graph.at(slot)) if key not in held), None)
         if free is not None:
             raise InvalidClosureError(
@@ -323,11 +353,8 @@ class GatedISAM2:
         return ends
 
     def _factors_without(self, closures: Iterable[int]) -> gtsam.NonlinearFactorGraph:
-        graph = gtsam.NonlinearFactorGraph(self.smoother.getFactorsUnsafe())
-        for number in closures:
-            for slot in self._offers[number].slots:
-                graph.remove(slot)
-        return graph
+        graph = self.smoother.getFactorsUnsafe()
+        return without(graph, [slot for number in closures for slot in self._offers[number].standing(graph)])
 
     def _without(self, revisit: Sequence[int]) -> GroupDecision:
         graph = self._factors_without(revisit)
