@@ -19,7 +19,7 @@ from pgti_gtsam.errors import NoRadiusError
 from pgti_gtsam.integrity import Integrity
 from pgti_gtsam.pose_graph import EdgeSource, PoseGraph
 from pgti_gtsam.support_graph import explained_overlaps
-from pgti_gtsam.track import Track
+from pgti_gtsam.track import Track, closure_edges
 
 WINDOW = 5
 """Keyframes between one overlap of a revisit and the next, on either stretch: a few spheres in between are small."""
@@ -70,8 +70,7 @@ def tied_radius_m(pose_graph: PoseGraph) -> float:
     NoRadiusError
         No closure ties keyframes that lie apart.
     """
-    closes = (pose_graph.edge_sources & EdgeSource.BETWEEN > 0) & (pose_graph.edge_sources & EdgeSource.ODOMETRY == 0)
-    i, j = pose_graph.edges[closes].T
+    i, j = pose_graph.edges[closure_edges(pose_graph)].T
     distances = np.linalg.norm(pose_graph.positions[i] - pose_graph.positions[j], axis=1)
     if not (distances > 0).any():
         raise NoRadiusError(
@@ -133,12 +132,14 @@ def revisit(
 def places_on(pose_graph: PoseGraph, track: Track) -> NDArray[np.float64]:
     """A coordinate along the track, (n,), that grows by one in `WINDOW` keyframes or `REACH` ρ, whichever is more way.
 
-    Between chains it grows by more than any neighbourhood spans.
+    Between chains, which follow each other, it grows by more than any neighbourhood spans.
     """
     positive = pose_graph.radii[pose_graph.radii > 0]
     unit = float(np.median(positive)) if len(positive) else np.inf
-    steps = np.minimum(1 / WINDOW, np.diff(track.way_m) / (REACH * unit))
-    return np.concatenate([[0.0], np.cumsum(steps + 10.0 * np.diff(track.chain))])
+    steps = np.minimum(1 / WINDOW, np.diff(track.way_m[track.order]) / (REACH * unit))
+    places = np.empty(len(pose_graph))
+    places[track.order] = np.concatenate([[0.0], np.cumsum(steps + 10.0 * np.diff(track.chain[track.order]))])
+    return places
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -172,7 +173,10 @@ def neighbourhoods(edges: NDArray[np.int64], places: NDArray[np.float64], most: 
     size = 0.5
     while True:
         cells, first, cell_of = np.unique(
-            np.floor(places[edges] / size).reshape(-1, 2), axis=0, return_index=True, return_inverse=True
+            np.floor(np.sort(places[edges], axis=1) / size).reshape(-1, 2),
+            axis=0,
+            return_index=True,
+            return_inverse=True,
         )
         if most is None or len(cells) <= most:
             break

@@ -15,13 +15,15 @@ from pgti_gtsam.errors import InvalidGraphError, InvalidValueError, NoPoseError
 class EdgeSource(enum.IntFlag):
     """Why two keyframes count as connected; an edge may have several reasons.
 
-    `ODOMETRY` marks, beside its reason, an edge that is a step of a track: from a keyframe to the next one.
+    `ODOMETRY` marks, beside its reason, an edge that is a step of a track: from a keyframe to the next one. `SKIP`
+    marks factors over several steps that the way between explains. See `track`.
     """
 
     BETWEEN = 1
     COVISIBILITY = 2
     TRACK = 4
     ODOMETRY = 8
+    SKIP = 16
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -31,7 +31,7 @@ FLOORS = [
     "report",
     "cli",
 ]
-MAY_IMPORT_GTSAM = {"factor_graphs", "adapter", "gate", "estimate", "diagnosis", "diffusion", "datasets"}
+MAY_IMPORT_GTSAM = {"factor_graphs", "track", "adapter", "gate", "estimate", "diagnosis", "diffusion", "datasets"}
 
 
 def room_of(path):

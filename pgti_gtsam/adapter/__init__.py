@@ -16,7 +16,7 @@ from pgti_gtsam.errors import InvalidOptionError, InvalidValueError, NoRadiusErr
 from pgti_gtsam.factor_graphs import check_map
 from pgti_gtsam.pose_graph import Adaptation, EdgeSource, PoseGraph
 from pgti_gtsam.sightings import Sightings, covisibility_edges, minimum_sphere_radii
-from pgti_gtsam.track import track_edges
+from pgti_gtsam.track import Roles, Tie, roles, track_edges
 
 EDGE_SOURCES = ("between", "covisibility", "track")
 
@@ -34,6 +34,7 @@ def from_gtsam(
     radii: float | Mapping[int, float] | None = None,
     edges: Collection[str] | None = None,
     min_shared_landmarks: int | None = None,
+    closures: Collection[int] | None = None,
 ) -> PoseGraph:
     """Adapt a factor graph into a pose graph. Graph and values stay untouched.
 
@@ -59,6 +60,9 @@ def from_gtsam(
     min_shared_landmarks : int, optional
         Landmarks that two keyframes must share to be connected by covisibility; without, `MIN_SHARED_LANDMARKS`, or one
         where no two keyframes share so many.
+    closures : collection of int, optional
+        Slots of the loop closures: every other factor between keyframes is odometry. Without, `track.roles` tells
+        them apart.
 
     Returns
     -------
@@ -75,18 +79,19 @@ def from_gtsam(
         A pose appears in no factor.
     NoRadiusError
         Neither landmark factors nor `radii` give any keyframe a radius.
-    InvalidValueError, InvalidOptionError
-        A position or radius that is not finite, a radius below zero or for no keyframe; an
-        unknown source of edges, or fewer than one shared landmark.
+    InvalidGraphError, InvalidValueError, InvalidOptionError
+        Another type than graph or values; a position or radius that is not finite, a radius below zero or for no
+        keyframe; an unknown source of edges, fewer than one shared landmark, or a closure's slot that holds no factor
+        between two keyframes.
     """
+    # what connects keyframes
     check_map(graph, values)
     if min_shared_landmarks is not None and min_shared_landmarks < 1:
         raise InvalidOptionError(f"expected min_shared_landmarks of at least 1, got {min_shared_landmarks}")
     chosen = None if edges is None else _checked_sources(edges)
-    keyframes = read_keyframes(values)
-    reader = FactorReader(keyframes)
+    reader = FactorReader(read_keyframes(values))
     reader.read(graph)
-    sightings = reader.sightings()
+    keyframes, sightings = reader.keyframes, reader.sightings()
     between = np.array([row[:2] for row in reader.between], dtype=np.int64).reshape(-1, 2)
     enough = min_shared_landmarks or MIN_SHARED_LANDMARKS
     covisible, most_shared = covisibility_edges(sightings, enough)
@@ -96,16 +101,20 @@ def from_gtsam(
     sources = chosen or _default_sources(radii_given=radii is not None, covisible=len(covisible) > 0)
     found = {"between": between, "covisibility": covisible}
     pairs = {name: found[name] for name in found if name in sources}
+    own = _roles(reader, covisible, closures)
+
+    # how far the space around them is free, and what that connects along the track
     seen = minimum_sphere_radii(sightings, keyframes.positions, np.concatenate([*pairs.values(), _NO_PAIRS]))
     all_radii = _checked_radii(keyframes, seen, radii)
     if "track" in sources:
-        pairs["track"] = track_edges(_steps(reader, keyframes), all_radii)
+        order = np.argsort(own.chain, kind="stable")
+        pairs["track"] = order[track_edges(_steps(reader, own, order), all_radii[order])]
     return PoseGraph(
         keys=keyframes.keys,
         positions=keyframes.positions,
         radii=all_radii,
         adaptation=_adaptation(reader, sightings, pairs, all_radii, most_shared, enough),
-        **_edge_arrays(reader, pairs),
+        **_edge_arrays(reader, pairs, own),
     )
 
 
@@ -157,25 +166,50 @@ def _checked_radii(
     return radii
 
 
-def _steps(reader: FactorReader, keyframes: Keyframes) -> NDArray[np.float64]:
-    """Measured distance from each keyframe to the next in the order of the keys, NaN without odometry.
+def _roles(reader: FactorReader, covisible: NDArray[np.int64], closures: Collection[int] | None) -> Roles:
+    """What is odometry among the factors between keyframes."""
+    slots = [row.slot for row in reader.between]
+    stray = sorted(set(closures or ()) - set(slots))
+    if stray:
+        raise InvalidOptionError(
+            f"expected slots of factors between two keyframes as closures, got slot {stray[0]}, which holds none"
+        )
+    keys = reader.keyframes.keys
+    held = np.zeros(len(keys), dtype=bool)
+    held[list(reader.held)] = True
+    return roles(
+        keys,
+        [Tie(row.i, row.j, row.pose) for row in reader.between],
+        covisible=covisible,
+        held=held,
+        closures=None if closures is None else np.isin(np.array(slots, dtype=np.int64), list(closures)),
+    )
+
+
+def _steps(reader: FactorReader, own: Roles, order: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Measured distance from each keyframe to the next on the track, NaN without a factor between them.
 
     A factor that measures no distance (an essential matrix, say) counts with that of the values.
     """
-    steps = np.full(len(keyframes.keys) - 1, np.nan)
-    for i, j, _, _, step in reader.between:
-        if j == i + 1 and np.isnan(steps[i]):
-            steps[i] = np.linalg.norm(keyframes.positions[j] - keyframes.positions[i]) if np.isnan(step) else step
+    place, positions = np.argsort(order), reader.keyframes.positions
+    steps = np.full(len(order) - 1, np.nan)
+    for row in (row for row, is_step in zip(reader.between, own.is_step, strict=True) if is_step):
+        first, second = place[[row.i, row.j]]
+        if second == first + 1 and np.isnan(steps[first]):
+            apart = np.linalg.norm(positions[row.j] - positions[row.i])
+            steps[first] = apart if np.isnan(row.length) else row.length
     return steps
 
 
-def _edge_arrays(reader: FactorReader, pairs: Mapping[str, NDArray[np.int64]]) -> dict[str, Any]:
+def _edge_arrays(reader: FactorReader, pairs: Mapping[str, NDArray[np.int64]], own: Roles) -> dict[str, Any]:
     """Rows of all sources one behind the other, as PoseGraph merges them."""
     used = reader.between if "between" in pairs else []
     edges = np.concatenate([pairs.get(name, _NO_PAIRS) for name in EDGE_SOURCES])
-    flags = [np.full(len(pairs.get(name, _NO_PAIRS)), EdgeSource[name.upper()]) for name in EDGE_SOURCES]
-    slots = tuple((row[2],) for row in used) + ((),) * (len(edges) - len(used))
-    matrices = [row[3] for row in used]
+    flags = np.concatenate(
+        [np.full(len(pairs.get(name, _NO_PAIRS)), EdgeSource[name.upper()]) for name in EDGE_SOURCES]
+    )
+    slots = tuple((row.slot,) for row in used) + ((),) * (len(edges) - len(used))
+    matrices = [row.information for row in used]
     size = max((len(matrix) for matrix in matrices if matrix is not None), default=0)
     information = np.full((len(edges), size, size), np.nan)
     for k, matrix in enumerate(matrices):
@@ -183,21 +217,28 @@ def _edge_arrays(reader: FactorReader, pairs: Mapping[str, NDArray[np.int64]]) -
             information[k, : len(matrix), : len(matrix)] = matrix
     return {
         "edges": edges,
-        "edge_sources": np.concatenate(flags) | _odometry_marks(reader.keyframes, edges, flags),
+        "edge_sources": flags | _odometry_marks(edges, flags, own, between=pairs.get("between")),
         "edge_slots": slots,
         "edge_information": information if size else None,
     }
 
 
 def _odometry_marks(
-    keyframes: Keyframes, edges: NDArray[np.int64], flags: list[NDArray[np.int64]]
+    edges: NDArray[np.int64], flags: NDArray[np.int64], own: Roles, between: NDArray[np.int64] | None
 ) -> NDArray[np.int64]:
-    """`EdgeSource.ODOMETRY` where a factor, or what both see, ties a keyframe to the next one of the same symbol."""
-    low, high = np.sort(edges, axis=1).T
-    letters = keyframes.keys >> np.uint64(56)
-    step = (high == low + 1) & (letters[low] == letters[high])
-    tied = np.concatenate(flags) != EdgeSource.TRACK
-    return np.where(step & tied, EdgeSource.ODOMETRY, 0)
+    """`EdgeSource.ODOMETRY` of steps, and `EdgeSource.SKIP` where every factor between two keyframes is a skip."""
+    n = len(own.chain)
+    codes, steps = _codes(edges, n), _codes(own.steps, n)
+    marks = np.where(np.isin(codes, steps) & (flags != EdgeSource.TRACK), EdgeSource.ODOMETRY, 0)
+    if between is not None and len(between):
+        skips, others = (np.unique(_codes(between[chosen], n)) for chosen in (own.is_skip, ~own.is_skip))
+        marks[np.isin(codes, np.setdiff1d(skips, others)) & (flags == EdgeSource.BETWEEN)] = EdgeSource.SKIP
+    return marks
+
+
+def _codes(pairs: NDArray[np.int64], n: int) -> NDArray[np.int64]:
+    """One number for each pair of n keyframes, in either order."""
+    return np.asarray(pairs.min(axis=1, initial=n) * n + pairs.max(axis=1, initial=0))
 
 
 def _adaptation(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import gtsam
 import numpy as np
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from pgti_gtsam.adapter.families import Family, family_of
 from pgti_gtsam.adapter.values import Keyframes, landmark_position
 from pgti_gtsam.errors import MissingValueError, UnusedValueError
+from pgti_gtsam.factor_graphs import measured_from, slots_of
 from pgti_gtsam.sightings import Sightings
 
 Vector = NDArray[np.float64]
@@ -32,20 +33,36 @@ class _Landmark:
     nearest: float = np.inf
 
 
+class Between(NamedTuple):
+    """Two keyframes tied by a factor, i < j.
+
+    The information in the tangent space of j, or None; the measured distance in metres, or NaN; the measured pose of j
+    seen from i, a gtsam.Pose2 or gtsam.Pose3, or None.
+    """
+
+    i: int
+    j: int
+    slot: int
+    information: Vector | None
+    length: float
+    pose: Any
+
+
 @dataclass(slots=True)
 class FactorReader:
     """Collects, factor by factor, what the pose graph is made of.
 
     Attributes
     ----------
-    between : list of (i, j, slot, information, step)
-        Pairs of keyframes tied by a factor; the information in the tangent space of j, or None; the
-        measured distance between them in metres, or NaN.
+    between : list of Between
+    held : set of int
+        Keyframes that a factor of another family ties to something.
     counts : one counter of class names for each family
     """
 
     keyframes: Keyframes
-    between: list[tuple[int, int, int, Vector | None, float]] = field(default_factory=list)
+    between: list[Between] = field(default_factory=list)
+    held: set[int] = field(default_factory=set)
     counts: dict[Family, Counter[str]] = field(default_factory=lambda: {f: Counter() for f in Family})
     empty_slots: int = 0
     _landmarks: dict[int, _Landmark] = field(default_factory=dict)
@@ -62,11 +79,9 @@ class FactorReader:
         MissingValueError, UnusedValueError, InvalidValueError
         """
         handlers = {Family.BETWEEN: self._between, Family.SIGHTING: self._sighting, Family.SMART: self._smart}
-        for slot in range(graph.size()):
-            factor = graph.at(slot)
-            if factor is None:
-                self.empty_slots += 1
-                continue
+        found = slots_of(graph)
+        self.empty_slots += graph.size() - len(found)
+        for slot, factor in found:
             name = type(factor).__name__
             family = family_of(name)
             self.counts[family][name] += 1
@@ -74,6 +89,8 @@ class FactorReader:
             self._tied.update(keys)
             if family in handlers:
                 handlers[family](slot, factor, keys)
+            if family != Family.BETWEEN and len(keys) > 1:
+                self.held.update(self.keyframes.index[key] for key in keys if key in self.keyframes.index)
         self._check_every_pose_is_tied()
 
     def sightings(self) -> Sightings:
@@ -95,12 +112,12 @@ class FactorReader:
         if i == j:
             return
         measured = factor.measured() if hasattr(factor, "measured") else None
-        step = _length(measured)
+        pose = measured_from(factor, int(self.keyframes.keys[min(i, j)]))
         information = _information(factor)
         if i > j:
             information = _reversed(information, measured)
             i, j = j, i
-        self.between.append((i, j, slot, information, step))
+        self.between.append(Between(i, j, slot, information, _length(measured), pose))
 
     def _sighting(self, slot: int, factor: Any, keys: list[int]) -> None:
         i, mark = self._keyframe(slot, factor, keys[0]), self._landmark(slot, factor, keys)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 
 import gtsam
@@ -17,6 +17,7 @@ from pgti_gtsam.gate.revisits import revisits
 from pgti_gtsam.gate.survey import Radii
 from pgti_gtsam.gate.trial import optimised
 from pgti_gtsam.pose_graph import PoseGraph, key_label
+from pgti_gtsam.track import closure_edges
 
 DOUBTFUL = 0.75
 """Doubt from which an admitted revisit may be overturned by a later and larger one that it shuts out. On ray-cast
@@ -53,14 +54,18 @@ class GatedGraph:
         return tuple(slot for slot, decision in self.decisions.items() if not decision.accepted)
 
 
-def closure_ends(pose_graph: PoseGraph, graph: gtsam.NonlinearFactorGraph) -> dict[int, tuple[int, int]]:
+def closure_ends(
+    pose_graph: PoseGraph, graph: gtsam.NonlinearFactorGraph, closures: Collection[int] | None = None
+) -> dict[int, tuple[int, int]]:
     """Slots of the loop closures, with the places of their keyframes in the order of the keys, i < j.
 
-    Closures are between factors on two keyframes that are no neighbours; all else is the map.
+    Without `closures`, their slots, they are the between factors that are no odometry: see `track.roles`.
     """
-    far = np.flatnonzero(pose_graph.edges[:, 1] > pose_graph.edges[:, 0] + 1).tolist()
-    ends = {slot: tuple(pose_graph.edges[k].tolist()) for k in far for slot in pose_graph.edge_slots[k]}
-    return {slot: ends[slot] for slot in sorted(ends) if isinstance(graph.at(slot), BETWEEN)}
+    closing = closure_edges(pose_graph) if closures is None else np.ones(len(pose_graph.edges), dtype=bool)
+    rows = np.flatnonzero(closing).tolist()
+    ends = {slot: tuple(pose_graph.edges[k].tolist()) for k in rows for slot in pose_graph.edge_slots[k]}
+    chosen = (slot for slot in ends if isinstance(graph.at(slot), BETWEEN)) if closures is None else set(closures)
+    return {slot: ends[slot] for slot in sorted(chosen)}
 
 
 def gate_graph(
@@ -68,6 +73,7 @@ def gate_graph(
     values: gtsam.Values,
     radii: Radii | None = None,
     *,
+    closures: Collection[int] | None = None,
     gate: LoopClosureGate | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> GatedGraph:
@@ -82,6 +88,9 @@ def gate_graph(
     ----------
     graph, values, radii
         As in `from_gtsam`.
+    closures : collection of int, optional
+        Slots of the loop closures. Without, they are the between factors that `track.roles` does not take for
+        odometry.
     gate : LoopClosureGate, optional
     progress : callable, optional
         Called with the number of closures judged and of all.
@@ -93,14 +102,14 @@ def gate_graph(
         `InvalidOptionError` where without them nothing ties some keyframe.
     """
     gate = gate or LoopClosureGate()
-    pose_graph = gate.adapted(graph, values, radii)
-    ends = closure_ends(pose_graph, graph)
+    pose_graph = gate.adapted(graph, values, radii, closures)
+    ends = closure_ends(pose_graph, graph, closures)
     slots = list(ends)
     alone = without(graph, slots)
     _check_tied(alone, pose_graph)
-    closures = [graph_of([graph.at(slot)]) for slot in slots]
+    offered = [graph_of([graph.at(slot)]) for slot in slots]
     past = Past.of(alone, optimised(alone, values), pose_graph.keys, radii)
-    judged, best = judge_all(gate, past, closures, list(ends.values()), progress)
+    judged, best = judge_all(gate, past, offered, list(ends.values()), progress)
     decisions = dict(zip(slots, judged, strict=True))
     rejected = [slot for slot, decision in decisions.items() if not decision.accepted]
     return GatedGraph(graph=without(graph, rejected), values=best, decisions=decisions)
@@ -111,6 +120,7 @@ def leave_one_out(
     values: gtsam.Values,
     radii: Radii | None = None,
     *,
+    closures: Collection[int] | None = None,
     gate: LoopClosureGate | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> tuple[dict[int, ClosureDecision], list[int]]:
@@ -121,7 +131,7 @@ def leave_one_out(
 
     Parameters
     ----------
-    graph, values, radii, gate, progress
+    graph, values, radii, closures, gate, progress
         As in `gate_graph`.
 
     Returns
@@ -132,7 +142,7 @@ def leave_one_out(
         Slots of closures on which a keyframe hangs alone: the map cannot be had without them.
     """
     gate = gate or LoopClosureGate()
-    slots = list(closure_ends(gate.adapted(graph, values, radii), graph))
+    slots = list(closure_ends(gate.adapted(graph, values, radii, closures), graph, closures))
     best = optimised(graph, values) if slots else values
     decisions, alone = {}, []
     for done, slot in enumerate(slots):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -140,11 +140,21 @@ class LoopClosureGate:
         if not isinstance(self.options, GateOptions):
             raise InvalidOptionError(f"expected GateOptions as the options of a gate, got {self.options!r}")
 
-    def adapted(self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, radii: Radii | None = None) -> PoseGraph:
+    def adapted(
+        self,
+        graph: gtsam.NonlinearFactorGraph,
+        values: gtsam.Values,
+        radii: Radii | None = None,
+        closures: Collection[int] | None = None,
+    ) -> PoseGraph:
         """A map as the gate reads it: `from_gtsam` with the gate's options."""
-        options = self.options
         return from_gtsam(
-            graph, values, radii=radii, edges=options.edges, min_shared_landmarks=options.min_shared_landmarks
+            graph,
+            values,
+            radii=radii,
+            edges=self.options.edges,
+            min_shared_landmarks=self.options.min_shared_landmarks,
+            closures=closures,
         )
 
     def survey(self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, radii: Radii | None = None) -> Survey:

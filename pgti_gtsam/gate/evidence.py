@@ -20,6 +20,7 @@ from pgti_gtsam.pose_graph import EdgeSource, PoseGraph
 from pgti_gtsam.spectral.heat_kernel import heat_kernels
 from pgti_gtsam.spectral.laplacian import adjacency
 from pgti_gtsam.support_graph import overlapping_spheres
+from pgti_gtsam.track import chains_of, step_edges, track_of
 
 Pairs = NDArray[np.int64]
 
@@ -143,8 +144,7 @@ def free_space_unit(pose_graph: PoseGraph) -> float:
 
 def travelled(pose_graph: PoseGraph) -> NDArray[np.float64]:
     """Way along the track to every keyframe, in the order of the keys, in ρ: (n,)."""
-    steps = np.linalg.norm(np.diff(pose_graph.positions, axis=0), axis=1)
-    return np.concatenate([[0.0], np.cumsum(steps)]) / free_space_unit(pose_graph)
+    return track_of(pose_graph).way_m / free_space_unit(pose_graph)
 
 
 def contacts(pose_graph: PoseGraph) -> Contacts:
@@ -163,15 +163,17 @@ def bridged_overlaps(pose_graph: PoseGraph) -> Pairs:
     r_i + r_j, the spheres of i and j must meet, however the way bends. Lengths are those of the
     estimate, so that every pair found does overlap.
     """
-    n, radii = len(pose_graph), pose_graph.radii
-    steps = np.linalg.norm(np.diff(pose_graph.positions, axis=0), axis=1)
-    i, j = pose_graph.edges.T
-    linked = np.zeros(n - 1, dtype=bool)
-    linked[i[j == i + 1]] = True
-    chain = np.concatenate([[0], np.cumsum(~linked)])
-    travelled = np.concatenate([[0.0], np.cumsum(steps)])
-    bridges = pose_graph.edges[(j > i + 1) & (pose_graph.edge_sources & EdgeSource.BETWEEN > 0)]
-    gaps = np.linalg.norm(pose_graph.positions[bridges[:, 0]] - pose_graph.positions[bridges[:, 1]], axis=1)
+    # the track, and what bridges it, by places on it
+    n, steps = len(pose_graph), step_edges(pose_graph)
+    chain = chains_of(n, pose_graph.edges[steps])
+    order = np.argsort(chain, kind="stable")
+    chain, positions, radii = chain[order], pose_graph.positions[order], pose_graph.radii[order]
+    travelled = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(positions, axis=0), axis=1))])
+    bridging = ~steps & (pose_graph.edge_sources & EdgeSource.BETWEEN > 0)
+    bridges = np.sort(np.argsort(order)[pose_graph.edges[bridging]], axis=1)
+    gaps = np.linalg.norm(positions[bridges[:, 0]] - positions[bridges[:, 1]], axis=1)
+
+    # what lies near by on both sides
     reach = 2 * radii.max() - gaps
     bridges, gaps, reach = bridges[reach >= 0], gaps[reach >= 0], reach[reach >= 0]
     first = np.searchsorted(travelled, travelled[bridges] - reach[:, None])
@@ -183,7 +185,7 @@ def bridged_overlaps(pose_graph: PoseGraph) -> Pairs:
         slack = radii[p] - np.abs(travelled[p] - travelled[a]) + radii[q] - np.abs(travelled[q] - travelled[b])
         met = (slack >= gaps[part][bridge]) & (chain[p] == chain[a]) & (chain[q] == chain[b]) & (p != q)
         found.append(np.stack([p[met], q[met]], axis=1))
-    return np.concatenate([np.empty((0, 2), dtype=np.int64), *found])
+    return np.asarray(order[np.concatenate([np.empty((0, 2), dtype=np.int64), *found])])
 
 
 def _even_parts(sizes: NDArray[np.int64]) -> Iterator[slice]:

@@ -20,6 +20,7 @@ from pgti_gtsam.gate.trial import anchors, largest_strain_m, optimised
 from pgti_gtsam.gate.yardstick import Yardstick, yardstick
 from pgti_gtsam.integrity import Integrity, assess
 from pgti_gtsam.pose_graph import EdgeSource, PoseGraph
+from pgti_gtsam.track import closure_edges
 
 Radii = float | Mapping[int, float]
 
@@ -76,10 +77,9 @@ class Survey:
 
     @cached_property
     def closures(self) -> list[Any]:
-        """Between factors that tie no neighbours: the closures that the map already has."""
-        graph = self.pose_graph
-        far = np.flatnonzero(graph.edges[:, 1] > graph.edges[:, 0] + 1)
-        return [self.graph.at(slot) for k in far for slot in graph.edge_slots[k]]
+        """The closures that the map already has."""
+        slots, closing = self.pose_graph.edge_slots, closure_edges(self.pose_graph)
+        return [self.graph.at(slot) for k in np.flatnonzero(closing).tolist() for slot in slots[k]]
 
     def adapted(self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> PoseGraph:
         """Pose graph of another graph, adapted as this one was."""

@@ -23,6 +23,7 @@ from pgti_gtsam.factor_graphs import BETWEEN, factors_of, joined, keys_of
 from pgti_gtsam.gate.evidence import free_space_unit
 from pgti_gtsam.gate.trial import anchors, optimised, still_held
 from pgti_gtsam.pose_graph import EdgeSource, PoseGraph
+from pgti_gtsam.track import step_edges
 
 DRIFT = 0.03
 """Tolerance of the odometry, as a standard deviation: a random walk of 3 % of ρ, and of 0.03 rad (1.7°), for every
@@ -149,15 +150,17 @@ class Yardstick:
 def yardstick(pose_graph: PoseGraph, values: gtsam.Values) -> Yardstick:
     """The yardstick of a map as it stands.
 
-    Neighbours in the order of the keys that an edge connects are odometry; other pairs that a factor
-    ties are closures already accepted.
+    Steps of the track are odometry; other pairs that a factor ties are closures already accepted, or hold as well.
     """
     unit, poses = free_space_unit(pose_graph), poses_of(values)
     keys = pose_graph.keys.tolist()
     placed = [pose_at(poses, key) for key in keys]
     edges = gtsam.NonlinearFactorGraph()
-    for (i, j), source in zip(pose_graph.edges.tolist(), pose_graph.edge_sources.tolist(), strict=True):
-        if j == i + 1:
+    known = zip(
+        pose_graph.edges.tolist(), pose_graph.edge_sources.tolist(), step_edges(pose_graph).tolist(), strict=True
+    )
+    for (i, j), source, is_step in known:
+        if is_step:
             step = placed[i].between(placed[j])
             edges.push_back(_between((keys[i], keys[j]), step, DRIFT * math.sqrt(_length(step, unit)), unit))
         elif source & EdgeSource.BETWEEN:
