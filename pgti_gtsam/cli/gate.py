@@ -64,7 +64,7 @@ def gate(
     with counted() as tell:
         tell("reading", 0, 1)
         dataset, radii = read_map(file, values, radius, cloud, every)
-        if out_values is not None and dataset.format != gtsam_archive.FORMAT:
+        if out_values is not None and dataset.format != gtsam_archive.NAME:
             raise InvalidOptionError(f"expected --out-values with a GTSAM archive, got {dataset.format}: use --out")
         gated = gate_graph(
             dataset.graph,
@@ -187,7 +187,7 @@ def _write_gated(dataset: Dataset, gated: GatedGraph, out: Path | None, out_valu
         gtsam_archive.write_archive(gated.values, out_values)
     if out is None:
         return {}
-    if dataset.format == gtsam_archive.FORMAT:
+    if dataset.format == gtsam_archive.NAME:
         gtsam_archive.write_archive(gated.graph, out)
         return {}
     written = write_g2o(gated.graph, gated.values, out)

@@ -1,8 +1,9 @@
-"""Vertices, edges and sightings of a text file put together as a dataset."""
+"""Vertices, edges and sightings of a file put together as a dataset."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from itertools import pairwise
 from operator import itemgetter
 from types import MappingProxyType
 from typing import NamedTuple
@@ -14,7 +15,11 @@ from numpy.typing import NDArray
 from pgti_gtsam.datasets.chain import Between, Pose, between_factors, closure_slots, insert_point, place_by_factors
 from pgti_gtsam.datasets.dataset import Dataset
 from pgti_gtsam.datasets.landmarks import Sighting
-from pgti_gtsam.datasets.text import UNDERSTOOD, Table, TextFile
+from pgti_gtsam.datasets.text import Table, TextFile, quote
+from pgti_gtsam.pose_graph import key_label
+
+# Assumed for the steps of a trajectory, which brings no uncertainty: rotation 0.01 rad, translation 0.1 m
+STEP_SIGMAS = {2: (0.1, 0.1, 0.01), 3: (0.01, 0.01, 0.01, 0.1, 0.1, 0.1)}
 
 
 class Entry(NamedTuple):
@@ -26,25 +31,28 @@ class Entry(NamedTuple):
 
 
 def planar_poses(numbers: NDArray[np.float64]) -> list[gtsam.Pose2]:
-    """Poses of (n, 3) rows x, y in metres and heading in radians."""
-    return [gtsam.Pose2(x, y, heading) for x, y, heading in numbers.tolist()]
+    """Poses of rows that start with x, y in metres and heading in radians."""
+    return [gtsam.Pose2(x, y, heading) for x, y, heading in numbers[:, :3].tolist()]
 
 
-def quaternion_poses(file: TextFile, table: Table) -> list[gtsam.Pose3]:
-    """Poses of rows that start with x, y, z in metres and a quaternion x, y, z, w, which is normalised.
+def quaternion_poses(file: TextFile, table: Table, before: int = 0) -> list[gtsam.Pose3]:
+    """Poses of rows that hold, behind ``before`` other numbers, x, y, z in metres and a quaternion x, y, z, w.
+
+    Quaternions are normalised.
 
     Raises
     ------
     FileFormatError
         A quaternion is zero.
     """
-    quaternions = table.numbers[:, 3:7]
+    quaternions = table.numbers[:, before + 3 : before + 7]
     norms = np.linalg.norm(quaternions, axis=1, keepdims=True)
     bad = np.flatnonzero(norms < 1e-6)  # nothing but rounding is left of a direction of that size
     if bad.size:
         raise file.error("expected a unit quaternion, got zero", table.lines[bad[0]])
     poses = []
-    for position, (x, y, z, w) in zip(table.numbers[:, :3], (quaternions / norms).tolist(), strict=True):
+    positions = table.numbers[:, before : before + 3]
+    for position, (x, y, z, w) in zip(positions, (quaternions / norms).tolist(), strict=True):
         poses.append(gtsam.Pose3(gtsam.Rot3.Quaternion(w, x, y, z), position))
     return poses
 
@@ -54,17 +62,35 @@ def euler_poses(numbers: NDArray[np.float64]) -> list[gtsam.Pose3]:
     return [gtsam.Pose3(gtsam.Rot3.RzRyRx(row[3:6]), row[:3]) for row in numbers]
 
 
+def between(first: int, second: int, pose: Pose, model: gtsam.noiseModel.Base) -> gtsam.NonlinearFactor:
+    """The factor that measures the second pose from the first, in the plane or in space."""
+    make = gtsam.BetweenFactorPose2 if isinstance(pose, gtsam.Pose2) else gtsam.BetweenFactorPose3
+    return make(first, second, pose, model)
+
+
 def between_entries(
     file: TextFile, table: Table, measured: Iterable[Pose], models: Iterable[gtsam.noiseModel.Base]
 ) -> list[Entry]:
-    """One between factor per row, whose first two identifiers are its poses."""
-    entries = []
+    """One between factor per row, whose first two identifiers are its poses; a row that names one twice is left out."""
+    entries, selves = [], []
     for line, ids, pose, model in zip(table.lines.tolist(), table.ids.tolist(), measured, models, strict=True):
         first, second = ids[:2]
         if first == second:
-            raise file.error(f"expected an edge between two vertices, got {first} twice", line)
-        make = gtsam.BetweenFactorPose2 if isinstance(pose, gtsam.Pose2) else gtsam.BetweenFactorPose3
-        entries.append(Entry(line, (first, second), make(first, second, pose, model)))
+            selves.append(line)
+        else:
+            entries.append(Entry(line, (first, second), between(first, second, pose, model)))
+    if selves:
+        file.notes.append(f"left out {len(selves)} edges from a vertex to itself (first on line {selves[0]})")
+    return entries
+
+
+def trajectory_steps(poses: Mapping[int, Pose]) -> list[Entry]:
+    """Between factors from each pose to the next, with assumed sigmas, for files that hold no odometry."""
+    entries = []
+    for (i, before), (j, after) in pairwise(poses.items()):
+        sigmas = STEP_SIGMAS[2 if isinstance(before, gtsam.Pose2) else 3]
+        model = gtsam.noiseModel.Diagonal.Sigmas(np.array(sigmas))
+        entries.append(Entry(0, (i, j), between(i, j, before.between(after), model)))
     return entries
 
 
@@ -77,18 +103,19 @@ def assemble(
     points: Mapping[int, NDArray[np.float64]] | None = None,
     sightings: Sequence[Sighting] = (),
     radii: Mapping[int, float] | None = None,
-    notes: Sequence[str] = (),
+    known: Collection[str] = (),
 ) -> Dataset:
     """Check that everything named exists, give every variable a value, find the closures.
 
     Parameters
     ----------
     file : TextFile
-        Named in errors.
+        Named in errors; its notes are handed on.
     format : str
         The format in words.
     poses : mapping of int to pose
-        Stored vertices; where there is none at all, poses are chained from the factors.
+        Stored vertices; where there is none at all, poses are chained from the factors. A pose without a factor
+        is left out, unless no factor is there: then consecutive poses are tied as a trajectory.
     entries : sequence of Entry
         Factors on poses.
     points : mapping of int to (2,) or (3,) float, optional
@@ -97,59 +124,101 @@ def assemble(
         Factors between a pose and a landmark.
     radii : mapping of int to float, optional
         Metres of free space.
-    notes : sequence of str
-        Sentences to hand on.
+    known : collection of str
+        Tags that were read; of the others, those that tie two poses are refused (see `TextFile.ignore_unknown`).
 
     Raises
     ------
     FileFormatError
-        No pose, planar and spatial poses in one file, a pose without a vertex where others have one, or
-        without vertices a pose that no chain of factors reaches.
+        No pose, planar and spatial poses in one file, a pose without a vertex where others have one,
+        without vertices a pose that no chain of factors reaches, or an unknown line that ties two poses.
     """
+    # every pose that is named, and its place
     named = [(entry.line, key) for entry in entries for key in entry.poses]
     named += [(sighting.line, sighting.pose) for sighting in sightings]
+    ignored = _unknown_edges(file, known, {*poses, *(key for _, key in named)})
+    if not named and len(poses) > 1:
+        file.notes.append("the file holds no edge: consecutive poses are tied as a trajectory, with assumed sigmas")
+        entries = trajectory_steps(dict(sorted(poses.items())))
+        named = [(0, key) for key in poses]
+
+    # factors in the order of the file
     graph = gtsam.NonlinearFactorGraph()
     factors = [(entry.line, entry.factor) for entry in entries] + [(s.line, s.factor) for s in sightings]
     for _, factor in sorted(factors, key=itemgetter(0)):
         graph.push_back(factor)
     betweens = between_factors(graph)
+
+    # a value for every variable
     _refuse_mixture(file, [*poses.values(), *(b.factor.measured() for b in betweens)], sightings, points or {})
-    placed, placing_notes = (poses, []) if poses else _place_poses(file, named, betweens)
+    placed = _with_factors(file, poses, {key for _, key in named}) if poses else _place_poses(file, named, betweens)
     _refuse_missing(file, named, placed, "has no vertex line although others have one")
     landmarks = _nearest_sightings(sightings, placed) | dict(points or {})
+    unplaced = next((s for s in sightings if s.landmark not in landmarks), None)
+    if unplaced is not None:
+        label = key_label(unplaced.landmark)
+        raise file.error(f"landmark {label} has no vertex line, and no sighting places it", unplaced.line)
     return Dataset(
         name=file.name,
         format=format,
         graph=graph,
         values=_values(placed, landmarks),
-        radii=None if radii is None else MappingProxyType(dict(radii)),
+        radii=None if radii is None else MappingProxyType({key: radii[key] for key in radii if key in placed}),
         closures=closure_slots(sorted(placed), betweens),
-        notes=(*notes, *placing_notes),
+        notes=tuple(file.notes),
+        ignored_edges=ignored,
     )
+
+
+def _unknown_edges(file: TextFile, known: Collection[str], poses: Collection[int]) -> int:
+    """Lines of unknown tags that tie two poses: refused, or counted where that is asked for."""
+    names = {str(key) for key in poses}
+    tying: dict[str, list[int]] = {}
+    for tag in set(file.tags) - set(known):
+        if "EDGE" in tag.upper() and "PRIOR" not in tag.upper():
+            lines = [line for line in file.tags[tag] if _ties(line.fields[1:3], names)]
+            tying |= {tag: [line.number for line in lines]} if lines else {}
+    shown = ", ".join(f"{len(lines)} {quote(tag)}" for tag, lines in sorted(tying.items()))
+    if tying and not file.ignore_unknown:
+        message = f"{shown} tie two poses in a way that is not known; rewrite them as EDGE_SE2 or EDGE_SE3:QUAT, "
+        raise file.error(message + "or leave them out with --ignore-unknown", min(map(min, tying.values())))
+    return sum(map(len, tying.values()))
+
+
+def _ties(ends: Sequence[str], poses: Collection[str]) -> bool:
+    return len(ends) == 2 and ends[0] != ends[1] and ends[0] in poses and ends[1] in poses
+
+
+def _with_factors(file: TextFile, poses: Mapping[int, Pose], held: Collection[int]) -> dict[int, Pose]:
+    """Poses that a factor holds; the others float freely, so that nothing can be said of them."""
+    alone = [key for key in poses if key not in held]
+    if alone and held:
+        file.notes.append(f"{len(alone)} {'vertex' if len(alone) == 1 else 'vertices'} without edges left out")
+        return {key: pose for key, pose in poses.items() if key in held}
+    return dict(poses)
 
 
 def _refuse_mixture(
     file: TextFile, poses: Iterable[Pose], sightings: Iterable[Sighting], points: Mapping[int, NDArray[np.float64]]
 ) -> None:
     dimensions = {2 if isinstance(pose, gtsam.Pose2) else 3 for pose in poses}
-    dimensions |= {len(sighting.point) for sighting in sightings} | {len(point) for point in points.values()}
+    dimensions |= {len(sighting.point) for sighting in sightings if sighting.point is not None}
+    dimensions |= {len(point) for point in points.values()}
     if len(dimensions) > 1:
         raise file.error("expected either planar or spatial vertices and edges, got both")
 
 
-def _place_poses(
-    file: TextFile, named: Sequence[tuple[int, int]], betweens: Sequence[Between]
-) -> tuple[dict[int, Pose], list[str]]:
+def _place_poses(file: TextFile, named: Sequence[tuple[int, int]], betweens: Sequence[Between]) -> dict[int, Pose]:
     if not betweens:
-        raise file.error(f"holds no pose and no edge between poses; {UNDERSTOOD}")
+        raise file.error("holds no pose and no edge between poses")
     keys = sorted({key for _, key in named})
     origin = type(betweens[0].factor.measured())()
     placed, closures_used = place_by_factors(keys, betweens, origin)
     _refuse_missing(file, named, placed, f"has no vertex line, and no chain of edges leads there from {keys[0]}")
-    notes = ["the file stores no poses: they are chained from the odometry"]
+    file.notes.append("the file stores no poses: they are chained from the odometry")
     if closures_used:
-        notes.append(f"the odometry is broken: poses were placed through {closures_used} closures")
-    return placed, notes
+        file.notes.append(f"the odometry is broken: poses were placed through {closures_used} closures")
+    return placed
 
 
 def _refuse_missing(file: TextFile, named: Iterable[tuple[int, int]], poses: Mapping[int, Pose], why: str) -> None:
@@ -160,12 +229,10 @@ def _refuse_missing(file: TextFile, named: Iterable[tuple[int, int]], poses: Map
 
 def _nearest_sightings(sightings: Iterable[Sighting], poses: Mapping[int, Pose]) -> dict[int, NDArray[np.float64]]:
     """Every landmark where the sighting of the smallest range puts it."""
-    farthest_first = sorted(sightings, key=lambda sighting: -float(np.linalg.norm(sighting.point)))
-    nearest = {sighting.landmark: sighting for sighting in farthest_first}
-    return {
-        landmark: np.asarray(poses[sighting.pose].transformFrom(sighting.point))
-        for landmark, sighting in nearest.items()
-    }
+    placing = [(float(np.linalg.norm(s.point)), s.landmark, s.pose, s.point) for s in sightings if s.point is not None]
+    farthest_first = sorted(placing, key=lambda seen: -seen[0])
+    nearest = {landmark: (pose, point) for _, landmark, pose, point in farthest_first}
+    return {key: np.asarray(poses[pose].transformFrom(point)) for key, (pose, point) in nearest.items()}
 
 
 def _values(poses: Mapping[int, Pose], points: Mapping[int, NDArray[np.float64]]) -> gtsam.Values:

@@ -1,7 +1,8 @@
 """Odometry, loop closures, and poses placed by chaining one factor after the other.
 
 Odometry is what links two poses that follow each other in the order of their keys, in either direction:
-keys may skip numbers and factors may point backwards. Every other factor between poses is a closure.
+keys may skip numbers and factors may point backwards. Poses whose symbols have different letters, as those of
+two robots or sessions have, do not follow each other. Every other factor between poses is a closure.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from numpy.typing import NDArray
 from pgti_gtsam.datasets.dataset import Dataset
 
 Pose: TypeAlias = Any  # a gtsam.Pose2 or gtsam.Pose3: typing knows no pair of them that multiply
+LETTER = 56  # bits of a symbol's index; its letter stands above them
 BETWEEN = (gtsam.BetweenFactorPose2, gtsam.BetweenFactorPose3)
 
 
@@ -76,9 +78,14 @@ def odometry_factors(dataset: Dataset) -> list[Between]:
     return [between for between in between_factors(dataset.graph) if between.slot not in closures]
 
 
+def neighbouring(keys: Sequence[int]) -> list[tuple[int, int]]:
+    """Pairs of ascending keys that follow each other and whose symbols have one letter."""
+    return [(before, key) for before, key in pairwise(keys) if before >> LETTER == key >> LETTER]
+
+
 def odometry_links(keys: Sequence[int], betweens: Iterable[Between]) -> dict[tuple[int, int], Between]:
     """The first factor that links each pair of neighbours in ``keys``, which ascend."""
-    neighbours = set(pairwise(keys))
+    neighbours = set(neighbouring(keys))
     links: dict[tuple[int, int], Between] = {}
     for between in betweens:
         if between.ends in neighbours:
@@ -88,7 +95,7 @@ def odometry_links(keys: Sequence[int], betweens: Iterable[Between]) -> dict[tup
 
 def closure_slots(keys: Sequence[int], betweens: Iterable[Between]) -> tuple[int, ...]:
     """Slots of the factors that link no neighbours in ``keys``, by the later of their poses."""
-    neighbours = set(pairwise(keys))
+    neighbours = set(neighbouring(keys))
     closures = [between for between in betweens if between.ends not in neighbours]
     return tuple(between.slot for between in sorted(closures, key=lambda closure: (closure.ends[1], closure.slot)))
 
@@ -114,7 +121,7 @@ def place_by_factors(keys: Sequence[int], betweens: Sequence[Between], origin: P
     closures_used : int
         How many closures had to stand in for missing odometry.
     """
-    neighbours = set(pairwise(keys))
+    neighbours = set(neighbouring(keys))
     leaving: dict[int, list[Between]] = {}
     for between in betweens:
         for key in between.ends:

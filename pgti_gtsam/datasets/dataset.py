@@ -36,6 +36,8 @@ class Dataset:
         Ground-truth poses, in a frame of their own.
     notes : tuple of str
         Short sentences on what was read, assumed and ignored.
+    ignored_edges : int
+        Lines that tie poses in an unknown way and were left out because that was asked for.
     """
 
     name: str
@@ -47,3 +49,9 @@ class Dataset:
     true_closures: frozenset[int] | None = None
     truth: gtsam.Values | None = None
     notes: tuple[str, ...] = ()
+    ignored_edges: int = 0
+
+    @property
+    def title(self) -> str:
+        """The name, and what the map lacks."""
+        return f"{self.name} without {self.ignored_edges} unknown edges" if self.ignored_edges else self.name

@@ -23,12 +23,13 @@ from pgti_gtsam.datasets.chain import Pose, poses_of
 from pgti_gtsam.datasets.landmarks import landmark_key, planar_jacobian, spatial_jacobian
 from pgti_gtsam.datasets.losses import loss_comment, loss_words
 from pgti_gtsam.datasets.noise import ROTATION_FIRST
-from pgti_gtsam.datasets.text import LARGEST, MAX_ID
+from pgti_gtsam.datasets.text import LARGEST
 from pgti_gtsam.errors import InvalidValueError, MissingValueError
 from pgti_gtsam.pose_graph import key_label
 
 SENSOR = 0  # identifier of the sensor offset, which is none
 TRANSLATION_FIRST = np.argsort(ROTATION_FIRST)
+MAX_NUMBER = 2**53  # for a key that is renumbered: float64, which some readers take, holds every integer up to here
 INDEX_BITS = 56  # of a symbol's key; its letter stands above them
 
 Numbers = NDArray[np.float64]
@@ -219,7 +220,7 @@ def _indices(keys: list[int]) -> dict[int, int] | None:
     """Index of every key's symbol, if all have one letter and no index is too large for the file."""
     indices = {key: _index(key) for key in keys}
     is_one = len({key >> INDEX_BITS for key in keys}) <= 1
-    return indices if is_one and max(indices.values(), default=0) <= MAX_ID else None
+    return indices if is_one and max(indices.values(), default=0) <= MAX_NUMBER else None
 
 
 def _index(key: int) -> int:

@@ -21,18 +21,26 @@ Factory = Callable[[int, int, NDArray[np.float64], float, gtsam.noiseModel.Base]
 
 
 class Sighting(NamedTuple):
-    """Line, pose key, landmark key, the point seen from the pose's body (2,) or (3,) in metres, the factor."""
+    """Line, keys of pose and landmark, the point seen from the pose's body (2,) or (3,) in metres, the factor.
+
+    There is no point where only a bearing or a range is known.
+    """
 
     line: int
     pose: int
     landmark: int
-    point: NDArray[np.float64]
+    point: NDArray[np.float64] | None
     factor: gtsam.NonlinearFactor
 
 
 def landmark_key(identifier: int) -> int:
-    """Key of landmark ``identifier``; poses have plain numbers, so the two cannot collide."""
-    return int(gtsam.symbol("l", identifier))
+    """Key of landmark ``identifier``: a symbol's own, else l or, below zero, m with the number.
+
+    Poses have plain numbers or symbols of their own, so the two do not collide.
+    """
+    if identifier >= 1 << 56:
+        return identifier
+    return int(gtsam.symbol("m" if identifier < 0 else "l", abs(identifier)))
 
 
 def planar_jacobian(points: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -55,7 +63,7 @@ def spatial_jacobian(points: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def sightings(
     file: TextFile, table: Table, points: NDArray[np.float64], information: NDArray[np.float64]
-) -> tuple[list[Sighting], list[str]]:
+) -> list[Sighting]:
     """Bearing-range factors of one kind of lines.
 
     Parameters
@@ -69,17 +77,11 @@ def sightings(
 
     Returns
     -------
-    sightings : list of Sighting
-    notes : list of str
-        A sentence when sightings had to be left out: at range zero there is no bearing.
-
-    Raises
-    ------
-    FileFormatError
-        An information matrix has a negative eigenvalue.
+    list of Sighting
+        Those at range zero, which have no bearing, are left out with a note.
     """
     seen = np.linalg.norm(points, axis=1) > 0.0
-    kept = Table(lines=table.lines[seen], ids=table.ids[seen], numbers=table.numbers[seen])
+    kept = table.where(seen)
     points, information = points[seen], information[seen]
     is_planar = points.shape[1] == 2
     jacobians = planar_jacobian(points) if is_planar else spatial_jacobian(points)
@@ -92,13 +94,12 @@ def sightings(
     ):
         pose, landmark = ids[0], landmark_key(ids[1])
         found.append(Sighting(line, pose, landmark, point, make(pose, landmark, point, range_m, model)))
-    return found, _lost_note(table.lines[~seen])
-
-
-def _lost_note(lines: NDArray[np.int64]) -> list[str]:
-    if not lines.size:
-        return []
-    return [f"left out {lines.size} sightings at range zero, which have no bearing (first on line {lines[0]})"]
+    lost = table.lines[~seen]
+    if lost.size:
+        file.notes.append(
+            f"left out {lost.size} sightings at range zero, which have no bearing (first on line {lost[0]})"
+        )
+    return found
 
 
 def _planar_factor(

@@ -61,12 +61,12 @@ def losses(file: TextFile) -> dict[int, Any]:
     FileFormatError
         The name of a loss without its parameter, or before a line that does not have its identifiers.
     """
-    comments = [line for line in file.comments if line.fields[0] == "#" and line.fields[3:4] == [MARK]]
+    comments = [line for line in file.comments if MARK in line.text and line.fields[3:4] == [MARK]]
     found, fields = {}, {line.number: line.fields for line in file.lines} if comments else {}
     for line in comments:
         ids, words = line.fields[1:3], line.fields[4:]
         if not _is_loss(words):
-            message = f"expected a loss as in '# 3 7 ROBUST Huber 1.345', got {quote(' '.join(line.fields))}"
+            message = f"expected a loss as in '# 3 7 ROBUST Huber 1.345', got {quote(line.text)}"
             raise file.error(message, line.number)
         named = fields.get(line.number + 1, [])[1:3]
         if ids != named and (ids[0] != ids[1] or ids[:1] != named[:1]):

@@ -20,7 +20,7 @@ import numpy as np
 
 from pgti_gtsam.datasets.chain import between_factors
 from pgti_gtsam.datasets.dataset import Dataset
-from pgti_gtsam.datasets.text import parse_table, read_text, split_lines
+from pgti_gtsam.datasets.source import read_bytes, read_lines
 
 LABELS = "_GT_LC"
 DRIFTING = re.compile(r"^(.+)_(alpha_[\d.]+|odom|odom_GT_LC)$")  # names of files with odometry: sequence, kind
@@ -40,8 +40,9 @@ def with_labels(dataset: Dataset, path: Path) -> Dataset:
     labels = path.with_name(f"{dataset.name}{LABELS}.txt")
     if not labels.is_file():
         return dataset
-    table = parse_table(labels, split_lines(labels, read_text(labels)).lines, ids=2, widths=[0], tagged=False)
-    true = {frozenset(pair) for pair in table.ids.tolist()}  # the order of a pair says nothing
+    is_empty = not read_bytes(labels).strip()  # a sequence that never comes back has no true loop
+    pairs = [] if is_empty else read_lines(labels).rows(ids=2, widths=[0]).ids.tolist()
+    true = {frozenset(pair) for pair in pairs}  # the order of a pair says nothing
     ends = {slot: frozenset(dataset.graph.at(slot).keys()) for slot in dataset.closures}
     notes = [f"{labels.name} names the true closures", *_identity_note(dataset)]
     if lost := len(true - set(ends.values())):

@@ -40,7 +40,7 @@ def read_scan(file: TextFile, line: Line) -> Scan:
     if line.fields[0] == "FLASER":
         ranges, rest = _counted(file, line, line.fields[1:])
         return _scan(file, line, ranges, np.inf, rest, behind_pose=0)
-    header = parse_numbers(file.path, line, line.fields[1:8])
+    header = parse_numbers(file, line, line.fields[1:8])
     ranges, rest = _counted(file, line, line.fields[8:])
     _, rest = _counted(file, line, rest)
     return _scan(file, line, ranges, header[4], rest, behind_pose=5)
@@ -54,7 +54,7 @@ def _scan(
     if len(rest) != expected:
         message = f"expected {expected} fields behind the readings of {line.fields[0]}, got {len(rest)}"
         raise file.error(message, line.number)
-    x, y, heading, *_, time_s = parse_numbers(file.path, line, rest[3:-2])
+    x, y, heading, *_, time_s = parse_numbers(file, line, rest[3:-2])
     return Scan(line.number, ranges, maximum_m, (x, y, heading), time_s)
 
 

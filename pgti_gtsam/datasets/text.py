@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import bz2
-import gzip
-import math
-import zlib
+import re
+from bisect import bisect_right
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
 from typing import NamedTuple, TypeVar
 
@@ -16,23 +15,27 @@ from numpy.typing import NDArray
 
 from pgti_gtsam.errors import FileFormatError
 
-UNDERSTOOD = (
-    "understood are g2o, TORO, GTSAM text archives (graph and values), the stereo files and Victoria Park "
-    "of the GTSAM wheel, CARMEN logs and FLIRTLib scan graphs, each also compressed with gzip or bzip2"
-)
-OPENERS = {b"\x1f\x8b": gzip.decompress, b"BZh": bz2.decompress}
-ENDINGS = {".gz", ".bz2"}
-MAX_ID = 2**53  # float64 holds every integer up to here; below 2**56, where a symbol's letter starts
+ENDINGS = {".gz", ".bz2", ".xz"}
+MAX_ID = 2**63 - 1  # keys of GTSAM have 64 bits, and the letter of a symbol in ASCII leaves the highest one free
 LARGEST = 1e30  # no length, angle or information reaches this, and its square is still a float64
+CHUNK = 8192  # lines whose fields are held as text at a time: fields take ten times the memory of their line
+
+_IDS = re.compile(r"(?:-?[0-9]{1,19} )*", re.ASCII)
+_DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+(?:[eE][-+]?\d+)?", re.ASCII)
 
 Item = TypeVar("Item")
 
 
 class Line(NamedTuple):
-    """Number, counted from 1, and whitespace-separated fields of a line that is neither empty nor comment."""
+    """Number, counted from 1, and text of a line that is not empty."""
 
     number: int
-    fields: list[str]
+    text: str
+
+    @property
+    def fields(self) -> list[str]:
+        """What blanks separate."""
+        return self.text.split()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -43,29 +46,85 @@ class Table:
     ids: NDArray[np.int64]
     numbers: NDArray[np.float64]
 
+    def where(self, kept: NDArray[np.bool_]) -> Table:
+        """The rows that a mask (n,) keeps."""
+        return Table(lines=self.lines[kept], ids=self.ids[kept], numbers=self.numbers[kept])
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TextFile:
-    """The lines of a file, also grouped by their first field, the tag; comments apart."""
+    """The lines of a file, also grouped by their first field, the tag; comments apart.
+
+    Attributes
+    ----------
+    path : Path
+        The file, or the first of several that are one map.
+    lines, comments : sequence of Line
+    tags : mapping of str to sequence of Line
+    notes : list of str
+        Sentences that reading adds to; an error takes them along.
+    ignore_unknown : bool
+        Lines that tie two variables in an unknown way are counted instead of refused.
+    others : tuple of (int, Path)
+        Number of the first line of every further file, and the file, where several are one map.
+    shift : int
+        Added to identifiers of poses, so that none is negative: keys of GTSAM cannot be.
+    """
 
     path: Path
     lines: Sequence[Line]
     tags: Mapping[str, Sequence[Line]]
     comments: Sequence[Line] = ()
+    notes: list[str] = field(default_factory=list)
+    ignore_unknown: bool = False
+    others: tuple[tuple[int, Path], ...] = ()
+    shift: int = 0
 
     @property
     def name(self) -> str:
         """The file's name without the ending of its format and compression."""
-        path = self.path.with_suffix("") if self.path.suffix in ENDINGS else self.path
-        return path.stem
+        return bare_name(self.path)
 
-    def table(self, tag: str, *, ids: int, widths: Collection[int]) -> Table:
-        """Lines of ``tag`` as arrays; ``widths`` are the allowed counts of numbers after the identifiers."""
-        return parse_table(self.path, self.tags.get(tag, ()), ids=ids, widths=widths)
+    def table(self, tag: str, *, ids: int, widths: Collection[int], poses: int = 0) -> Table:
+        """Lines of ``tag`` as arrays.
+
+        ``widths`` are the allowed counts of numbers after the identifiers, of which the first ``poses`` are poses.
+
+        Raises
+        ------
+        FileFormatError
+            Too few or too many fields, an identifier that is no whole number below 2**63 in size, a field that
+            is no finite number, a number beyond 1e30.
+        """
+        table = parse_table(self, self.tags.get(tag, ()), ids=ids, widths=widths, first=1)
+        table.ids[:, :poses] += self.shift
+        negative = np.flatnonzero((table.ids[:, :poses] < 0).any(axis=1))
+        if negative.size:
+            message = "expected a pose with an identifier from 0 on, got a negative one that no vertex line defines"
+            raise self.error(message, table.lines[negative[0]])
+        return table
+
+    def rows(self, *, ids: int, widths: Collection[int]) -> Table:
+        """All lines, which have no tag, as arrays; raises what `table` raises."""
+        return parse_table(self, self.lines, ids=ids, widths=widths, first=0)
 
     def error(self, message: str, line: int | None = None) -> FileFormatError:
-        """An error that names this file."""
-        return FileFormatError(self.path, message, line=None if line is None else int(line))
+        """An error that names this file and takes the notes along."""
+        path, before = self.path, 0
+        if line is not None and self.others:
+            place = bisect_right([first for first, _ in self.others], line)
+            if place:
+                first, path = self.others[place - 1]
+                before = first - 1
+        error = FileFormatError(path, message, line=None if line is None else int(line) - before)
+        for note in self.notes:
+            error.add_note(note)
+        return error
+
+
+def bare_name(path: Path) -> str:
+    """A file's name without the ending of its format and compression."""
+    return (path.with_suffix("") if path.suffix in ENDINGS else path).stem
 
 
 def quote(label: object, length: int = 40) -> str:
@@ -74,126 +133,117 @@ def quote(label: object, length: int = 40) -> str:
     return ascii(text if len(text) <= length else text[:length] + "…")
 
 
-def read_text(path: Path) -> str:
-    """Text of a plain or compressed file.
-
-    Raises
-    ------
-    FileFormatError
-        The file cannot be read, is damaged, empty or binary. Bytes that are not UTF-8 become "�".
-    """
-    data = _read_bytes(path)
-    if b"\0" in data:
-        raise FileFormatError(path, f"is binary, expected text; {UNDERSTOOD}")
-    text = data.decode("utf-8-sig", errors="replace")
-    if not text or text.isspace():
-        raise FileFormatError(path, f"is empty; {UNDERSTOOD}")
-    return text
-
-
-def _read_bytes(path: Path) -> bytes:
-    try:
-        data = path.read_bytes()
-        for magic, decompress in OPENERS.items():
-            if data.startswith(magic):
-                return decompress(data)
-    except IsADirectoryError:
-        raise FileFormatError(path, f"is a directory, expected a file; {UNDERSTOOD}") from None
-    except FileNotFoundError:
-        raise FileFormatError(path, "no such file") from None
-    except (OSError, EOFError, ValueError, zlib.error) as error:
-        raise FileFormatError(path, f"cannot be read: {error}") from error
-    return data
-
-
-def split_lines(path: Path, text: str) -> TextFile:
-    """Lines of ``text`` without empty ones, grouped by tag, and ``#`` comments."""
-    split = [Line(number, line.split()) for number, line in enumerate(text.split("\n"), 1)]
-    lines = [line for line in split if line.fields and not line.fields[0].startswith("#")]
-    comments = [line for line in split if line.fields and line.fields[0].startswith("#")]
+def split_lines(path: Path, text: str, *, ignore_unknown: bool = False, comma: bool = False) -> TextFile:
+    """Lines of ``text`` without empty ones, grouped by tag, and ``#`` comments; ``comma``: commas separate too."""
+    lines, comments = list[Line](), list[Line]()
     tags: dict[str, list[Line]] = {}
-    for line in lines:
-        tags.setdefault(line.fields[0], []).append(line)
-    return TextFile(path=path, lines=lines, tags=tags, comments=comments)
+    for number, raw in enumerate(text.split("\n"), 1):
+        words = (raw.replace(",", " ") if comma else raw).strip()
+        if words.startswith("#"):
+            comments.append(Line(number, words))
+        elif words:
+            line = Line(number, words)
+            lines.append(line)
+            tags.setdefault(words.split(None, 1)[0], []).append(line)
+    return TextFile(path=path, lines=lines, tags=tags, comments=comments, ignore_unknown=ignore_unknown)
 
 
-def parse_table(path: Path, lines: Sequence[Line], *, ids: int, widths: Collection[int], tagged: bool = True) -> Table:
-    """Lines of one kind as arrays.
+def parse_table(file: TextFile, lines: Sequence[Line], *, ids: int, widths: Collection[int], first: int) -> Table:
+    """Lines of one kind as arrays; see `TextFile.table`.
 
     Parameters
     ----------
-    path : Path
+    file : TextFile
         Named in errors.
     lines : sequence of Line
-        Tag (when ``tagged``), ``ids`` identifiers, then numbers, of which all lines have equally many.
-    ids : int
-        How many identifiers.
+        ``first`` fields that are passed over, ``ids`` identifiers, then numbers, of which all lines have
+        equally many.
+    ids, first : int
     widths : collection of int
         How many numbers there may be.
-    tagged : bool
-        Whether the first field is a tag.
-
-    Raises
-    ------
-    FileFormatError
-        Too few or too many fields, an identifier that is no whole number from 0 to 2**53, a field that is
-        no finite number, a number beyond 1e30.
     """
-    first = int(tagged)
-    width = _common_width(path, lines, first + ids, widths)
-    identifiers = [parse_ids(path, line, line.fields[first : first + ids]) for line in lines]
-    numbers = [parse_numbers(path, line, line.fields[first + ids :]) for line in lines]
-    table = Table(
-        lines=np.array([line.number for line in lines], np.int64),
-        ids=np.array(identifiers, np.int64).reshape(len(lines), ids),
-        numbers=np.array(numbers, np.float64).reshape(len(lines), width),
+    width, chunks = None, list[Table]()
+    for start in range(0, len(lines), CHUNK):
+        part = lines[start : start + CHUNK]
+        rows = [line.fields[first:] for line in part]
+        width = _common_width(file, part, rows, ids, {width} if width is not None else set(widths), first)
+        chunks.append(
+            Table(
+                lines=np.array([line.number for line in part], np.int64),
+                ids=np.array(_ids(file, part, [row[:ids] for row in rows]), np.int64).reshape(len(part), ids),
+                numbers=_numbers(file, part, [row[ids:] for row in rows]).reshape(len(part), width),
+            )
+        )
+    if not chunks:
+        shape = min(widths, default=0)
+        return Table(lines=np.empty(0, np.int64), ids=np.empty((0, ids), np.int64), numbers=np.empty((0, shape)))
+    return Table(
+        lines=np.concatenate([chunk.lines for chunk in chunks]),
+        ids=np.concatenate([chunk.ids for chunk in chunks]),
+        numbers=np.concatenate([chunk.numbers for chunk in chunks]),
     )
-    too_large = np.argwhere(np.abs(table.numbers) > LARGEST)
-    if too_large.size:
-        row, column = too_large[0]
-        message = f"expected numbers up to {LARGEST:g} in size, got {table.numbers[row, column]:g}"
-        raise FileFormatError(path, message, line=int(table.lines[row]))
-    return table
 
 
-def _common_width(path: Path, lines: Sequence[Line], before: int, widths: Collection[int]) -> int:
-    """Count of numbers after the first ``before`` fields, the same on every line and one of ``widths``."""
-    allowed = set(widths)
-    for line in lines:
-        if len(line.fields) - before not in allowed:
-            expected = " or ".join(str(before + width) for width in sorted(allowed))
-            message = f"expected {expected} fields, got {len(line.fields)} in {quote(' '.join(line.fields))}"
-            raise FileFormatError(path, message, line=line.number)
-        allowed = {len(line.fields) - before}
+def _common_width(
+    file: TextFile, lines: Sequence[Line], rows: Sequence[list[str]], ids: int, widths: set[int], first: int
+) -> int:
+    """Count of numbers after the identifiers, the same on every line and one of ``widths``."""
+    allowed = widths
+    for line, row in zip(lines, rows, strict=True):
+        if len(row) - ids not in allowed:
+            expected = " or ".join(str(first + ids + width) for width in sorted(allowed))
+            got = f"got {first + len(row)} in {quote(line.text)}"
+            raise file.error(f"expected {expected} fields, {got}{_comma_advice(row)}", line.number)
+        allowed = {len(row) - ids}
     return min(allowed)
 
 
-def parse_ids(path: Path, line: Line, fields: Iterable[str]) -> list[int]:
-    """Identifiers from 0 to 2**53."""
-    for field in fields:
-        if not (field.isascii() and field.isdecimal() and len(field) <= 16 and int(field) <= MAX_ID):
-            message = f"expected an identifier, a whole number from 0 to 2**53, got {quote(field)}"
-            raise FileFormatError(path, message, line=line.number)
-    return [int(field) for field in fields]
+def _ids(file: TextFile, lines: Sequence[Line], rows: Sequence[list[str]]) -> list[list[int]]:
+    """Identifiers below 2**63 in size."""
+    if _IDS.fullmatch(" ".join(chain.from_iterable(rows)) + " ") or not any(rows):
+        found = [list(map(int, row)) for row in rows]
+        if all(abs(number) <= MAX_ID for row in found for number in row):
+            return found
+    for line, row in zip(lines, rows, strict=True):
+        for word in row:
+            if not _IDS.fullmatch(word + " ") or abs(int(word)) > MAX_ID:
+                message = f"expected an identifier, a whole number below 2**63, got {quote(word)}"
+                raise file.error(message, line.number)
+    raise AssertionError("unreachable: a line without fields")
 
 
-def parse_numbers(path: Path, line: Line, fields: Sequence[str]) -> list[float]:
-    """Finite numbers; what Python alone takes for one (``1_0``) is refused."""
+def _numbers(file: TextFile, lines: Sequence[Line], rows: Sequence[list[str]]) -> NDArray[np.float64]:
+    """Finite numbers up to 1e30; what Python alone takes for one (``1_0``) is refused."""
     try:
-        numbers = [float(field) for field in fields]
+        numbers = np.fromiter(map(float, chain.from_iterable(rows)), np.float64)
+        if (np.abs(numbers) <= LARGEST).all() and not any("_" in word for row in rows for word in row):
+            return numbers
     except ValueError:
-        numbers = []
-    if len(numbers) == len(fields) and all(map(math.isfinite, numbers)) and "_" not in "".join(fields):
-        return numbers
-    culprit = next((field for field in fields if not is_number(field)), fields[-1])
-    message = f"expected a finite number, got {quote(culprit)}"
-    raise FileFormatError(path, message, line=line.number)
+        pass
+    for line, row in zip(lines, rows, strict=True):
+        parse_numbers(file, line, row)
+    raise AssertionError("unreachable: every number by itself is valid")
 
 
-def is_number(field: str) -> bool:
+def parse_numbers(file: TextFile, line: Line, fields: Sequence[str]) -> list[float]:
+    """Finite numbers of one line, up to 1e30 in size."""
+    for word in fields:
+        if not is_number(word):
+            raise file.error(f"expected a finite number, got {quote(word)}{_comma_advice([word])}", line.number)
+        if abs(float(word)) > LARGEST:
+            raise file.error(f"expected numbers up to {LARGEST:g} in size, got {float(word):g}", line.number)
+    return [float(word) for word in fields]
+
+
+def _comma_advice(fields: Iterable[str]) -> str:
+    is_comma = any(_DECIMAL_COMMA.fullmatch(word) for word in fields)
+    return ", a decimal comma; write the file with LC_NUMERIC=C" if is_comma else ""
+
+
+def is_number(word: str) -> bool:
     """Whether a field is a finite number."""
     try:
-        return math.isfinite(float(field)) and "_" not in field
+        return bool(np.isfinite(float(word))) and "_" not in word
     except ValueError:
         return False
 
@@ -216,12 +266,13 @@ def by_identifier(
     return found
 
 
-def note_ignored(file: TextFile, known: Collection[str]) -> list[str]:
-    """One sentence about the lines that no reader used, by tag."""
+def note_ignored(file: TextFile, known: Collection[str]) -> None:
+    """Note in one sentence the lines that no reader used, by tag."""
     unknown = {tag: lines for tag, lines in file.tags.items() if tag not in known}
     shown = sorted(unknown, key=lambda tag: -len(unknown[tag]))[:8]  # a note is a line or two, not a list
     counts = [f"{len(unknown[tag])} {quote(tag)}" for tag in shown]
     if len(unknown) > len(shown):
         rest = sum(map(len, unknown.values())) - sum(len(unknown[tag]) for tag in shown)
         counts.append(f"{rest} with {len(unknown) - len(shown)} other tags")
-    return [f"ignored lines: {', '.join(counts)}"] if counts else []
+    if counts:
+        file.notes.append(f"ignored lines: {', '.join(counts)}")

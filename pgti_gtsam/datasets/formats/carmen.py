@@ -20,10 +20,11 @@ from numpy.typing import NDArray
 from pgti_gtsam.datasets.assembly import Entry, assemble, planar_poses
 from pgti_gtsam.datasets.dataset import Dataset
 from pgti_gtsam.datasets.scans import Scan, read_scan, smallest_range
-from pgti_gtsam.datasets.text import ENDINGS, TextFile, note_ignored, parse_table, read_text, split_lines
+from pgti_gtsam.datasets.source import Format, Source, read_lines
+from pgti_gtsam.datasets.text import TextFile, note_ignored
 from pgti_gtsam.errors import InvalidOptionError
 
-FORMAT = "CARMEN log"
+NAME = "CARMEN log"
 SCANS = ("FLASER", "ROBOTLASER1")
 TAGS = set(SCANS)
 
@@ -44,12 +45,12 @@ class Relation(NamedTuple):
     pose: gtsam.Pose2
 
 
-def parse(file: TextFile, *, step_m: float = 0.5, step_rad: float = 0.5) -> Dataset:
+def parse(source: Source, *, step_m: float = 0.5, step_rad: float = 0.5) -> Dataset:
     """Keyframes, their odometry and radii, and closures where a file of relations lies beside the log.
 
     Parameters
     ----------
-    file : TextFile
+    source : Source
         The log.
     step_m, step_rad : float
         A scan becomes a keyframe when the robot has travelled so far, or turned so much, since the last one;
@@ -69,22 +70,31 @@ def parse(file: TextFile, *, step_m: float = 0.5, step_rad: float = 0.5) -> Data
     """
     if not (step_m > 0.0 and step_rad > 0.0):
         raise InvalidOptionError(f"expected positive steps, got step_m={step_m} and step_rad={step_rad}")
+    file = source.file
     tag = next(tag for tag in SCANS if tag in file.tags)
     scans = [read_scan(file, line) for line in file.tags[tag]]
-    relations, notes = _loop_relations(file, np.array([scan.time_s for scan in scans]))
+    relations, remarks = _loop_relations(file, np.array([scan.time_s for scan in scans]))
     chosen = _choose_keyframes(scans, step_m, step_rad, {end for loop in relations for end in loop[:2]})
     keys = {index: key for key, index in enumerate(chosen)}
     robot = planar_poses(np.array([scans[index].robot for index in chosen]))
     odometry = [Relation(i, j, robot[i].between(robot[j])) for i, j in pairwise(range(len(chosen)))]
     loops = [Relation(keys[loop.first], keys[loop.second], loop.pose) for loop in relations]
     lines = [scans[index].line for index in chosen]
+    file.notes.extend(
+        [
+            f"{len(chosen)} of {len(scans)} scans are keyframes: after {step_m:g} m or {step_rad:g} rad",
+            f"odometry is the log's, with assumed sigmas {ODOMETRY_SIGMAS} (m, m, rad) per step",
+            "radii are the smallest valid ranges of the keyframes' scans",
+            *remarks,
+        ]
+    )
+    note_ignored(file, {tag})
     dataset = assemble(
         file,
-        format=FORMAT,
+        format=NAME,
         poses=dict(enumerate(robot)),
         entries=[*_entries(odometry, ODOMETRY_SIGMAS, lines), *_entries(loops, RELATION_SIGMAS, lines)],
         radii=_radii(scans, chosen),
-        notes=[*_statements(scans, chosen, step_m, step_rad), *notes, *note_ignored(file, {tag})],
     )
     return replace(dataset, true_closures=frozenset(dataset.closures)) if relations else dataset
 
@@ -119,11 +129,10 @@ def _radii(scans: Sequence[Scan], chosen: Sequence[int]) -> dict[int, float]:
 
 def _loop_relations(file: TextFile, times: NDArray[np.float64]) -> tuple[list[Relation], list[str]]:
     """Long-range relations between scans, from the file beside the log, and what to say of them."""
-    log = file.path.with_suffix("") if file.path.suffix in ENDINGS else file.path
-    path = log.with_suffix(".relations")
+    path = file.path.with_name(f"{file.name}.relations")
     if not path.is_file():
         return [], [f"there is no {path.name} beside the log, and so no closure"]
-    table = parse_table(path, split_lines(path, read_text(path)).lines, ids=0, widths=[8], tagged=False)
+    table = read_lines(path).rows(ids=0, widths=[8])
     ends, poses = table.numbers[:, :2], table.numbers[:, [2, 3, 7]]
     nodes = np.searchsorted(np.unique(ends), ends)
     loops = np.flatnonzero(np.abs(nodes[:, 1] - nodes[:, 0]) > LOOP_NODES)
@@ -133,18 +142,12 @@ def _loop_relations(file: TextFile, times: NDArray[np.float64]) -> tuple[list[Re
         Relation(first, second, gtsam.Pose2(*pose))
         for (first, second), pose in zip(nearest[known].tolist(), poses[loops][known].tolist(), strict=True)
     ]
-    notes = [
-        f"{len(relations)} of {len(ends)} relations in {path.name} lie more than {LOOP_NODES} nodes apart and are "
-        f"closures, hand-checked, with assumed sigmas {RELATION_SIGMAS} (m, m, rad); the others are not used"
-    ]
+    far = f"{len(relations)} of {len(ends)} relations in {path.name} lie more than {LOOP_NODES} nodes apart and are"
+    sigmas = f"with assumed sigmas {RELATION_SIGMAS} (m, m, rad)"
+    notes = [f"{far} closures, hand-checked, {sigmas}; the others are not used"]
     if len(relations) < len(loops):
         notes.append(f"{len(loops) - len(relations)} relations name a time at which there is no scan")
     return relations, notes
 
 
-def _statements(scans: Sequence[Scan], chosen: Sequence[int], step_m: float, step_rad: float) -> list[str]:
-    return [
-        f"{len(chosen)} of {len(scans)} scans are keyframes: after {step_m:g} m or {step_rad:g} rad",
-        f"odometry is the log's, with assumed sigmas {ODOMETRY_SIGMAS} (m, m, rad) per step",
-        "radii are the smallest valid ranges of the keyframes' scans",
-    ]
+FORMAT = Format(NAME, lambda source: bool(TAGS & source.file.tags.keys()), parse)

@@ -11,15 +11,16 @@ import numpy as np
 
 from pgti_gtsam.datasets.assembly import assemble
 from pgti_gtsam.datasets.dataset import Dataset
-from pgti_gtsam.datasets.formats.toro import planar_edges, vertices
+from pgti_gtsam.datasets.formats.toro import edges, vertices
 from pgti_gtsam.datasets.scans import read_scan, smallest_range
+from pgti_gtsam.datasets.source import Format, Source
 from pgti_gtsam.datasets.text import TextFile, note_ignored
 
-FORMAT = "FLIRTLib scan graph"
+NAME = "FLIRTLib scan graph"
 TAGS = {"VERTEX2", "EDGE2", "ROBOTLASER1"}
 
 
-def parse(file: TextFile) -> Dataset:
+def parse(source: Source) -> Dataset:
     """The graph of a scan-graph file, with radii.
 
     Raises
@@ -27,20 +28,13 @@ def parse(file: TextFile) -> Dataset:
     FileFormatError
         A malformed line, a scan before the first vertex, two scans of one vertex.
     """
-    entries, notes = planar_edges(file)
-    poses = vertices(file)
-    radii = _radii(file)
-    stated = "poses are the stored, optimised ones; radii are the smallest valid ranges of the scans"
+    file = source.file
+    file.notes.append("poses are the stored, optimised ones; radii are the smallest valid ranges of the scans")
+    poses, entries, radii = vertices(file), edges(file), _radii(file)
     if missing := len(poses) - len(radii):
-        notes.append(f"{missing} poses have no scan with a valid range and so no radius")
-    return assemble(
-        file,
-        format=FORMAT,
-        poses=poses,
-        entries=entries,
-        radii=radii,
-        notes=[stated, *notes, *note_ignored(file, TAGS)],
-    )
+        file.notes.append(f"{missing} poses have no scan with a valid range and so no radius")
+    note_ignored(file, TAGS)
+    return assemble(file, format=NAME, poses=poses, entries=entries, radii=radii, known=TAGS)
 
 
 def _radii(file: TextFile) -> dict[int, float]:
@@ -56,3 +50,6 @@ def _radii(file: TextFile) -> dict[int, float]:
             raise file.error(f"expected one scan per vertex, got a second one for vertex {vertex}", line.number)
         radii[vertex] = smallest_range(read_scan(file, line))
     return {vertex: radius for vertex, radius in radii.items() if radius is not None}
+
+
+FORMAT = Format(NAME, lambda source: source.file.tags.keys() >= {"VERTEX2", "ROBOTLASER1"}, parse)

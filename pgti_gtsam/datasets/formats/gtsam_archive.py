@@ -15,11 +15,11 @@ import gtsam
 
 from pgti_gtsam.datasets.chain import between_factors, closure_slots, poses_of
 from pgti_gtsam.datasets.dataset import Dataset
-from pgti_gtsam.datasets.text import TextFile, read_text
+from pgti_gtsam.datasets.source import Format, Source, read_text
 from pgti_gtsam.errors import FileFormatError
 
-FORMAT = "GTSAM archive"
-MAGIC = "serialization::archive"
+NAME = "GTSAM archive"
+MAGIC = b"serialization::archive"
 HEAD = 400  # characters in which an archive has named itself, XML prologue included
 VALUES_MARK = "gtsam::GenericValue<"
 ADVICE = "write it with gtsam::serializeToFile (C++) or graph.serialize() (Python)"
@@ -31,33 +31,34 @@ _PROBE = "import sys, gtsam; gtsam.{kind}().deserialize(sys.stdin.buffer.read().
 Archived = TypeVar("Archived", gtsam.NonlinearFactorGraph, gtsam.Values)
 
 
-def is_archive(text: str) -> bool:
-    """Whether the text starts as a boost archive does, text or XML."""
-    return MAGIC in text[:HEAD] or "boost_serialization" in text[:HEAD]
+def _recognises(source: Source) -> bool:
+    """Whether the source starts as a boost archive does."""
+    return MAGIC in source.head[:HEAD] or b"boost_serialization" in source.head[:HEAD]
 
 
-def parse(file: TextFile, text: str, values_path: Path | None) -> Dataset:
-    """A serialised graph and the values in ``values_path``.
+def parse(source: Source) -> Dataset:
+    """A serialised graph and the values in a second file.
 
     Raises
     ------
     FileFormatError
         An XML archive, an archive of the wrong kind or a damaged one, or no file of values.
     """
-    _refuse_xml(file.path, text)
+    text, values_path = read_text(source.path), source.values
+    _refuse_xml(source.path, text)
     if VALUES_MARK in text:
-        raise file.error("holds GTSAM values; expected the factor graph here, and these as --values FILE")
+        raise source.error("holds GTSAM values; expected the factor graph here, and these as --values FILE")
     if values_path is None:
-        raise file.error("holds a factor graph without values; name the file of its values: --values FILE")
-    graph = _deserialize(file.path, text, gtsam.NonlinearFactorGraph)
+        raise source.error("holds a factor graph without values; name the file of its values: --values FILE")
+    graph = _deserialize(source.path, text, gtsam.NonlinearFactorGraph)
     values = read_values(values_path)
     notes = [f"values from {values_path.name}"]
     empty = sum(graph.at(slot) is None for slot in range(graph.size()))
     if empty:
         notes.append(f"{empty} slots of the graph are empty: their factors were removed")
     return Dataset(
-        name=file.name,
-        format=FORMAT,
+        name=source.name,
+        format=NAME,
         graph=graph,
         values=values,
         closures=closure_slots(list(poses_of(values)), between_factors(graph)),
@@ -74,7 +75,7 @@ def read_values(path: Path) -> gtsam.Values:
         The file is no archive of values, or a damaged one.
     """
     text = read_text(path)
-    if not is_archive(text):
+    if MAGIC.decode() not in text[:HEAD] and "boost_serialization" not in text[:HEAD]:
         raise FileFormatError(path, f"expected a text archive of gtsam.Values; {ADVICE}")
     _refuse_xml(path, text)
     if VALUES_MARK not in text:  # GTSAM reads a graph's archive as no values at all, without a word
@@ -100,3 +101,6 @@ def _deserialize(path: Path, text: str, kind: type[Archived]) -> Archived:
     read = kind()
     read.deserialize(text)
     return read
+
+
+FORMAT = Format(NAME, _recognises, parse, takes_values=True)

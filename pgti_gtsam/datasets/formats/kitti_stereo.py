@@ -15,11 +15,11 @@ import gtsam
 import numpy as np
 
 from pgti_gtsam.datasets.dataset import Dataset
-from pgti_gtsam.datasets.text import Table, TextFile, by_identifier, parse_table, read_text, split_lines
+from pgti_gtsam.datasets.source import Format, Source, read_lines
+from pgti_gtsam.datasets.text import Table, TextFile, by_identifier, is_number
 
-FORMAT = "KITTI stereo"
+NAME = "KITTI stereo"
 WIDTH = 8  # fields of an observation
-COMPANIONS = {6: "calibration", 17: "camera poses"}  # the other two files, by their fields
 FACTORS, POSES, CALIBRATION = "stereo_factors", "camera_poses", "calibration"
 
 PIXEL_SIGMA = 1.0  # assumed: feature matches are good to about a pixel
@@ -28,7 +28,7 @@ ODOMETRY_SIGMAS = (0.01, 0.01, 0.01, 0.1, 0.1, 0.1)
 ORTHONORMAL = 1e-3  # the files write six digits; what departs more is no rotation
 
 
-def parse(file: TextFile) -> Dataset:
+def parse(source: Source) -> Dataset:
     """Stereo factors, and odometry from the camera poses beside them.
 
     Cameras have the keys ``symbol("x", i)``, landmarks ``symbol("l", j)``. A landmark is put where its first
@@ -40,7 +40,8 @@ def parse(file: TextFile) -> Dataset:
         A malformed line, a disparity or depth that is not positive, a camera without a pose, a pose that is
         no rigid motion, poses or calibration missing beside the file.
     """
-    table = parse_table(file.path, file.lines, ids=2, widths=[WIDTH - 2], tagged=False)
+    file = source.file
+    table = file.rows(ids=2, widths=[WIDTH - 2])
     behind = np.flatnonzero((table.numbers[:, 0] <= table.numbers[:, 1]) | (table.numbers[:, 5] <= 0.0))
     if behind.size:
         raise file.error("expected a landmark in front of the cameras: uL > uR and Z > 0", table.lines[behind[0]])
@@ -54,7 +55,7 @@ def parse(file: TextFile) -> Dataset:
     _add_observations(graph, table, _calibration(calibration))
     return Dataset(
         name=file.name,
-        format=FORMAT,
+        format=NAME,
         graph=graph,
         values=_values(poses, table),
         notes=(
@@ -81,8 +82,8 @@ def _sibling(file: TextFile, kind: str) -> Path:
 
 def _camera_poses(path: Path) -> dict[int, gtsam.Pose3]:
     """Poses by camera, ascending, their rotations brought from six digits to the nearest rotation."""
-    file = split_lines(path, read_text(path))
-    table = parse_table(path, file.lines, ids=1, widths=[16], tagged=False)
+    file = read_lines(path)
+    table = file.rows(ids=1, widths=[16])
     matrices = table.numbers.reshape(-1, 4, 4)
     rotations = matrices[:, :3, :3]
     errors = np.abs(rotations @ rotations.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
@@ -97,8 +98,8 @@ def _camera_poses(path: Path) -> dict[int, gtsam.Pose3]:
 
 
 def _calibration(path: Path) -> gtsam.Cal3_S2Stereo:
-    file = split_lines(path, read_text(path))
-    table = parse_table(path, file.lines, ids=0, widths=[6], tagged=False)
+    file = read_lines(path)
+    table = file.rows(ids=0, widths=[6])
     if len(table.numbers) != 1 or min(table.numbers[0, [0, 1, 5]]) <= 0.0:
         raise file.error("expected one line fx fy skew u0 v0 baseline with positive fx, fy and baseline")
     return gtsam.Cal3_S2Stereo(*table.numbers[0].tolist())
@@ -130,3 +131,11 @@ def _values(poses: dict[int, gtsam.Pose3], table: Table) -> gtsam.Values:
     for camera, landmark, point in zip(*table.ids[first].T.tolist(), table.numbers[first, 3:], strict=True):
         values.insertPoint3(gtsam.symbol("l", landmark), poses[camera].transformFrom(point))
     return values
+
+
+def _recognises(source: Source) -> bool:
+    first = source.file.lines[0].fields if source.file.lines else []
+    return len(first) == WIDTH and all(map(is_number, first)) and first[0].isdecimal() and first[1].isdecimal()
+
+
+FORMAT = Format(NAME, _recognises, parse)

@@ -19,73 +19,63 @@ from pgti_gtsam.datasets.assembly import Entry, assemble, between_entries, euler
 from pgti_gtsam.datasets.chain import Pose
 from pgti_gtsam.datasets.dataset import Dataset
 from pgti_gtsam.datasets.landmarks import Sighting, landmark_key
-from pgti_gtsam.datasets.noise import TORO_3, UPPER_3, UPPER_6_SWAPPED, information_models, is_semidefinite
+from pgti_gtsam.datasets.noise import SPACE, TORO_3, UPPER_3, information, information_models, is_semidefinite
+from pgti_gtsam.datasets.source import Format, Source
 from pgti_gtsam.datasets.text import TextFile, by_identifier, note_ignored
 
-FORMAT = "TORO graph"
+NAME = "TORO graph"
 TAGS = {"VERTEX2", "EDGE2", "VERTEX3", "EDGE3", "BR"}
 
 
-def parse(file: TextFile) -> Dataset:
+def parse(source: Source) -> Dataset:
     """The graph of a TORO file.
 
     Raises
     ------
     FileFormatError
-        A malformed line, a vertex defined twice or not at all, an information matrix with a negative
-        eigenvalue, a landmark at no positive range.
+        A malformed line, a vertex defined twice or not at all, a landmark at no positive range, an unknown line
+        that ties two poses.
     """
-    planar, planar_notes = planar_edges(file)
-    spatial, spatial_notes = _spatial_edges(file)
-    return assemble(
-        file,
-        format=FORMAT,
-        poses=vertices(file),
-        entries=[*planar, *spatial],
-        sightings=_sightings(file),
-        notes=[*planar_notes, *spatial_notes, *note_ignored(file, TAGS)],
-    )
+    file = source.file
+    poses, entries, seen = vertices(file), edges(file), sightings(file)
+    note_ignored(file, TAGS)
+    return assemble(file, format=NAME, poses=poses, entries=entries, sightings=seen, known={*TAGS, "EQUIV"})
 
 
 def vertices(file: TextFile) -> dict[int, Pose]:
     """Poses of VERTEX2 and VERTEX3 lines."""
     poses: dict[int, Pose] = {}
     for tag, width, make in (("VERTEX2", 3, planar_poses), ("VERTEX3", 6, euler_poses)):
-        table = file.table(tag, ids=1, widths=[width])
+        table = file.table(tag, ids=1, widths=[width], poses=1)
         made: list[Pose] = make(table.numbers)
         poses |= by_identifier(file, tag, table, made, poses)
     return poses
 
 
-def planar_edges(file: TextFile) -> tuple[list[Entry], list[str]]:
-    """Between factors of EDGE2 lines, and a sentence where their information is not in TORO's order."""
-    table = file.table("EDGE2", ids=2, widths=[3 + 6])
-    information, notes = _ordered_information(table.numbers[:, 3:])
-    models = information_models(file, table, information)
-    return between_entries(file, table, planar_poses(table.numbers[:, :3]), models), notes
+def edges(file: TextFile) -> list[Entry]:
+    """Between factors of EDGE2 and EDGE3 lines."""
+    planar = file.table("EDGE2", ids=2, widths=[3, 3 + 6], poses=2)
+    order = _order(file, planar.numbers[:, 3:])
+    matrices = information(file, planar, planar.numbers[:, 3:], {6: order}, "EDGE2")
+    entries = between_entries(file, planar, planar_poses(planar.numbers), information_models(file, planar, matrices))
+
+    spatial = file.table("EDGE3", ids=2, widths=[6 + width for width in (0, *SPACE)], poses=2)
+    matrices = information(file, spatial, spatial.numbers[:, 6:], SPACE, "EDGE3")
+    models = information_models(file, spatial, matrices)
+    return [*entries, *between_entries(file, spatial, euler_poses(spatial.numbers), models)]
 
 
-def _ordered_information(rows: NDArray[np.float64]) -> tuple[NDArray[np.float64], list[str]]:
-    as_toro, as_triangle = rows[:, TORO_3], rows[:, UPPER_3]
-    if is_semidefinite(as_toro).all() or not is_semidefinite(as_triangle).all():
-        return as_toro, []
-    note = "EDGE2 information is read as an upper triangle by rows: in TORO's order it is not semidefinite"
-    return as_triangle, [note]
+def _order(file: TextFile, rows: NDArray[np.float64]) -> NDArray[np.int64]:
+    """The order that makes the information of all rows semidefinite, TORO's if both do."""
+    if not rows.size or is_semidefinite(rows[:, TORO_3]).all() or not is_semidefinite(rows[:, UPPER_3]).all():
+        return TORO_3
+    file.notes.append("EDGE2 information is read as an upper triangle by rows: in TORO's order it is not semidefinite")
+    return UPPER_3
 
 
-def _spatial_edges(file: TextFile) -> tuple[list[Entry], list[str]]:
-    table = file.table("EDGE3", ids=2, widths=[6, 6 + 21])
-    notes, information = [], table.numbers[:, 6:]
-    if table.ids.size and not information.size:
-        notes = ["the EDGE3 lines hold no information: unit matrices are assumed"]
-        information = np.tile(np.eye(6)[np.triu_indices(6)], (len(table.ids), 1))
-    models = information_models(file, table, information[:, UPPER_6_SWAPPED]) if table.ids.size else []
-    return between_entries(file, table, euler_poses(table.numbers), models), notes
-
-
-def _sightings(file: TextFile) -> list[Sighting]:
+def sightings(file: TextFile) -> list[Sighting]:
     """BR lines: bearing and its sigma in radians, range and its sigma in metres."""
-    table = file.table("BR", ids=2, widths=[4])
+    table = file.table("BR", ids=2, widths=[4], poses=1)
     bad = np.flatnonzero((table.numbers[:, 1:] <= 0.0).any(axis=1))
     if bad.size:
         raise file.error("expected BR with positive range and sigmas", table.lines[bad[0]])
@@ -98,3 +88,6 @@ def _sightings(file: TextFile) -> list[Sighting]:
         factor = gtsam.BearingRangeFactor2D(pose, landmark, bearing, range_m, model)
         found.append(Sighting(line, pose, landmark, point, factor))
     return found
+
+
+FORMAT = Format(NAME, lambda source: bool(TAGS & source.file.tags.keys()), parse)

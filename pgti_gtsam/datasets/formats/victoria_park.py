@@ -13,13 +13,14 @@ from pgti_gtsam.datasets.assembly import assemble, between_entries, planar_poses
 from pgti_gtsam.datasets.dataset import Dataset
 from pgti_gtsam.datasets.landmarks import sightings
 from pgti_gtsam.datasets.noise import UPPER_2, UPPER_3, information_models, inverse_covariances
-from pgti_gtsam.datasets.text import TextFile, note_ignored
+from pgti_gtsam.datasets.source import Format, Source
+from pgti_gtsam.datasets.text import note_ignored
 
-FORMAT = "Victoria Park"
+NAME = "Victoria Park"
 TAGS = {"ODOMETRY", "LANDMARK"}
 
 
-def parse(file: TextFile) -> Dataset:
+def parse(source: Source) -> Dataset:
     """The graph of a Victoria Park file, its poses chained from the odometry.
 
     Raises
@@ -28,18 +29,17 @@ def parse(file: TextFile) -> Dataset:
         A malformed line, a covariance that is not positive definite, a pose that no chain of odometry
         reaches.
     """
-    steps = file.table("ODOMETRY", ids=2, widths=[3 + 6])
+    file = source.file
+    file.notes.append("ODOMETRY and LANDMARK hold covariances in m² and rad²; trees are read as bearing-range factors")
+    steps = file.table("ODOMETRY", ids=2, widths=[3 + 6], poses=2)
     information = inverse_covariances(file, steps, steps.numbers[:, 3:][:, UPPER_3])
     models = information_models(file, steps, information)
-    trees = file.table("LANDMARK", ids=2, widths=[2 + 3])
+    trees = file.table("LANDMARK", ids=2, widths=[2 + 3], poses=1)
     information = inverse_covariances(file, trees, trees.numbers[:, 2:][:, UPPER_2])
-    seen, notes = sightings(file, trees, trees.numbers[:, :2], information)
-    stated = "ODOMETRY and LANDMARK hold covariances in m² and rad²; trees are read as bearing-range factors"
-    return assemble(
-        file,
-        format=FORMAT,
-        poses={},
-        entries=between_entries(file, steps, planar_poses(steps.numbers[:, :3]), models),
-        sightings=seen,
-        notes=[stated, *notes, *note_ignored(file, TAGS)],
-    )
+    seen = sightings(file, trees, trees.numbers[:, :2], information)
+    note_ignored(file, TAGS)
+    entries = between_entries(file, steps, planar_poses(steps.numbers), models)
+    return assemble(file, format=NAME, poses={}, entries=entries, sightings=seen, known=TAGS)
+
+
+FORMAT = Format(NAME, lambda source: bool(TAGS & source.file.tags.keys()), parse)

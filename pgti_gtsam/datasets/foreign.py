@@ -1,0 +1,86 @@
+"""Files that cannot be read: what they look like, and the export that helps."""
+
+from __future__ import annotations
+
+from typing import NamedTuple, NoReturn
+
+from pgti_gtsam.datasets.source import Source
+from pgti_gtsam.datasets.text import TextFile, is_number, quote
+
+BESIDE = "; expected the VO_stereo_factors file beside it"
+TABLES = {6: "looks like KITTI calibration" + BESIDE, 17: "looks like KITTI camera poses" + BESIDE}
+LOOPS = "and their loop closures as a list for --loops"
+
+
+class Foreign(NamedTuple):
+    """What a file is when these bytes stand in its head, at the start or anywhere, and what to do with it."""
+
+    signature: bytes
+    at_start: bool
+    name: str
+    advice: str
+
+
+FOREIGN = (
+    Foreign(
+        b"\xdb\x01\xf5\x5b\x7b\x1f\x1d\x7b",
+        True,
+        "a Cartographer state (.pbstream)",
+        "write its constraints as g2o, or its nodes as a TUM trajectory " + LOOPS,
+    ),
+    Foreign(
+        b"CSimpleMap",
+        False,
+        "an MRPT simple map (.simplemap)",
+        "run `sm-cli export-keyframes` of MOLA, which writes a TUM trajectory",
+    ),
+    Foreign(b"karto", False, "a pose graph of slam_toolbox (.posegraph)", "write its poses as TUM, " + LOOPS),
+    Foreign(b"ORB_SLAM3", False, "an atlas of ORB-SLAM3 (.osa)", "call SaveKeyFrameTrajectoryTUM"),
+    Foreign(b"#ROSBAG", True, "a ROS bag", "run the SLAM program on it and give its map"),
+    Foreign(b"\x89MCAP0", True, "an MCAP recording", "run the SLAM program on it and give its map"),
+    Foreign(b"# .PCD", True, "a point cloud (PCD)", "give the pose graph here, and the cloud as --cloud"),
+    Foreign(b"ply\n", True, "a point cloud or mesh (PLY)", "give the pose graph here, and the cloud as --cloud"),
+    Foreign(b"ply\r", True, "a point cloud or mesh (PLY)", "give the pose graph here, and the cloud as --cloud"),
+    Foreign(b"LASF", True, "a point cloud (LAS)", "give the pose graph here, and the cloud as --cloud in PLY"),
+    Foreign(b"ASTM-E57", True, "a point cloud (E57)", "give the pose graph here, and the cloud as --cloud in PLY"),
+    Foreign(b"PK\x03\x04", True, "a zip archive", "unpack it and name the file in it"),
+    Foreign(b"\x89HDF", True, "an HDF5 file", "write the graph as g2o, or its poses as a TUM trajectory"),
+    Foreign(b"\x93NUMPY", True, "a NumPy array", "write the graph as g2o, or its poses as a TUM trajectory"),
+    Foreign(b"\x80\x04\x95", True, "a Python pickle", "write the graph as g2o, or its poses as a TUM trajectory"),
+)
+
+
+def refuse(source: Source) -> NoReturn:
+    """Say what a source looks like that no format recognises.
+
+    Raises
+    ------
+    FileFormatError
+        Always.
+    """
+    if source.is_folder:
+        raise source.error("is a directory that holds no map; name the file in it")
+    for foreign in FOREIGN:
+        if source.head.startswith(foreign.signature) if foreign.at_start else foreign.signature in source.head:
+            raise source.error(f"looks like {foreign.name}, which is not read; {foreign.advice}")
+    if source.path.suffix == ".osa":
+        raise source.error("looks like an atlas of ORB-SLAM3 (.osa), which is not read; call SaveKeyFrameTrajectoryTUM")
+    raise source.error(_text(source.file))
+
+
+def _text(file: TextFile) -> str:
+    """What a text file looks like."""
+    if not file.lines:
+        return "holds nothing but comments; expected a map, as g2o for instance"
+    first = file.lines[0].text
+    if first[0] in "{[<":
+        kind = "XML" if first[0] == "<" else "JSON"
+        return f"looks like {kind}, which is not read; write the graph as g2o, or its poses as a TUM trajectory"
+    if "," in first:
+        return "looks like a table with commas; a trajectory is 'timestamp x y z qx qy qz qw' with blanks (TUM)"
+    if all(map(is_number, first.split())):
+        width = len(first.split())
+        unknown = f"is a table of {width} numbers, which is no known format; a TUM trajectory has 8, KITTI's 12"
+        return TABLES.get(width, unknown)
+    shown = ", ".join(quote(tag, 20) for tag in list(file.tags)[:3])
+    return f"is of no known format: its lines start with {shown}; expected a map, as g2o for instance"

@@ -1,0 +1,77 @@
+"""Edges between poses in g2o files, and the numbers that dialects write in front of their measurement.
+
+``EDGE_SE2_SWITCHABLE`` names its switch there and ``EDGE_SE2_MAXMIX`` a weight (Sünderhauf's Vertigo,
+doi:10.1109/IROS.2012.6385590), ``EDGE_SE3_OFFSET`` the two parameters that say where the sensors sit on the bodies.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pgti_gtsam.datasets.assembly import Entry, between_entries, planar_poses, quaternion_poses
+from pgti_gtsam.datasets.chain import Pose
+from pgti_gtsam.datasets.noise import PLANE, SPACE, information, information_models
+from pgti_gtsam.datasets.text import Table, TextFile, by_identifier
+
+EDGES = {  # numbers in front of the measurement, and those of the measurement
+    "EDGE_SE2": (0, 3),
+    "TUTORIAL_EDGE_SE2": (0, 3),
+    "EDGE_SE2_SWITCHABLE": (1, 3),
+    "EDGE_SE2_MAXMIX": (1, 3),
+    "EDGE_SE2_OFFSET": (2, 3),
+    "EDGE_SE3:QUAT": (0, 7),
+    "EDGE_SE3": (0, 7),
+    "EDGE_SE3_SWITCHABLE": (1, 7),
+    "EDGE_SE3_MAXMIX": (1, 7),
+    "EDGE_SE3_OFFSET": (2, 7),
+}
+SENSORS = {"EDGE_SE2_OFFSET": ("PARAMS_SE2OFFSET", 3), "EDGE_SE3_OFFSET": ("PARAMS_SE3OFFSET", 7)}
+
+
+def pose_edges(file: TextFile) -> list[Entry]:
+    """Between factors of all edges between poses.
+
+    Raises
+    ------
+    FileFormatError
+        A malformed line, a zero quaternion, a sensor offset without its parameter.
+    """
+    entries = []
+    for tag, (lead, size) in EDGES.items():
+        layout = PLANE if size == 3 else SPACE
+        table = file.table(tag, ids=2, widths=[lead + size + width for width in (0, *layout)], poses=2)
+        matrices = information(file, table, table.numbers[:, lead + size :], layout, tag)
+        measured = _measured(file, table, lead, size)
+        if tag in SENSORS:
+            measured, matrices = _between_bodies(file, table, measured, matrices, *SENSORS[tag])
+        entries += between_entries(file, table, measured, information_models(file, table, matrices))
+    return entries
+
+
+def _measured(file: TextFile, table: Table, lead: int, size: int) -> Sequence[Pose]:
+    return planar_poses(table.numbers[:, lead:]) if size == 3 else quaternion_poses(file, table, lead)
+
+
+def _between_bodies(
+    file: TextFile, table: Table, measured: Sequence[Pose], matrices: NDArray[np.float64], tag: str, size: int
+) -> tuple[list[Pose], NDArray[np.float64]]:
+    """Poses and information of bodies from those of their sensors, whose numbers come first.
+
+    O₁ z Exp(δ) O₂⁻¹ = O₁ z O₂⁻¹ Exp(Ad(O₂) δ), so Λ of the bodies is Ad(O₂⁻¹)ᵀ Λ Ad(O₂⁻¹).
+    """
+    parameters = file.table(tag, ids=1, widths=[size])
+    offsets = by_identifier(file, tag, parameters, _measured(file, parameters, 0, size))
+    poses, moved = [], []
+    for line, ends, pose, matrix in zip(
+        table.lines.tolist(), table.numbers[:, :2].tolist(), measured, matrices, strict=True
+    ):
+        if missing := [end for end in ends if end not in offsets]:
+            raise file.error(f"sensor offset {missing[0]:g} has no {tag} line", line)
+        first, second = (offsets[int(end)] for end in ends)
+        carry = second.inverse().AdjointMap()
+        poses.append(first * pose * second.inverse())
+        moved.append(carry.T @ matrix @ carry)
+    return poses, np.array(moved).reshape(matrices.shape)
