@@ -10,6 +10,7 @@ from rich.console import Console
 from pgti_gtsam.cli.audit import audit, view
 from pgti_gtsam.cli.diffusion import diffusion
 from pgti_gtsam.cli.gate import closures, gate
+from pgti_gtsam.cli.options import READ_NOTES
 from pgti_gtsam.errors import PgtiError
 
 app = typer.Typer(add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode=None)
@@ -25,9 +26,13 @@ for _command in (audit, view, gate, closures, diffusion):
 
 
 def main() -> None:
-    """Run the command line; bad input ends with one line on standard error and exit code 2."""
+    """Run the command line; bad input ends with one line, and the notes on what was read, and exit code 2."""
+    READ_NOTES.set(())
     try:
         app()
     except PgtiError as error:
-        Console(stderr=True, highlight=False).print(f"pgti-gtsam: {error}", markup=False, soft_wrap=True)
+        console = Console(stderr=True, highlight=False)
+        console.print(f"pgti-gtsam: {error}", markup=False, soft_wrap=True)
+        for note in (*READ_NOTES.get(), *getattr(error, "__notes__", ())):
+            console.print(f"  note: {note}", markup=False, soft_wrap=True)
         sys.exit(2)

@@ -18,9 +18,12 @@ from pgti_gtsam.cli.options import (
     Cloud,
     Edges,
     File,
+    IgnoreUnknown,
+    Loops,
+    MapFiles,
     MinShared,
+    OneMap,
     Values,
-    check_outputs,
     read_map,
     split_names,
     stages,
@@ -62,6 +65,9 @@ class _Audited:
 def audit(
     file: File = None,
     values: Values = None,
+    loops: Loops = None,
+    one_map: OneMap = False,
+    ignore_unknown: IgnoreUnknown = False,
     radius: AnyRadius = None,
     cloud: Cloud = None,
     edges: Edges = None,
@@ -84,10 +90,11 @@ def audit(
     fail_above: Annotated[float | None, typer.Option(help="Exit with code 1 if Λ is above this.")] = None,
 ) -> None:
     """Say whether a map is right, where not, and what to do about it."""
-    check_outputs([json, html, proposals], [file, values, cloud])
+    files = MapFiles(files=file, values=values, loops=loops, one_map=one_map, ignore_unknown=ignore_unknown)
+    files.check_outputs([json, html, proposals], cloud)
     _check_failures(fail_on, fail_above)
     with stages(9) as stage:
-        audited = _audit(file, values, radius, cloud, edges, min_shared_landmarks, beta, optimise, stage)
+        audited = _audit(files, radius, cloud, edges, min_shared_landmarks, beta, optimise, stage)
         document = audited.document
         if sweep:
             swept = radius_sweep(audited.dataset.graph, audited.values, audited.diagnosis, progress=stage)
@@ -115,6 +122,9 @@ def audit(
 def view(
     file: File = None,
     values: Values = None,
+    loops: Loops = None,
+    one_map: OneMap = False,
+    ignore_unknown: IgnoreUnknown = False,
     radius: AnyRadius = None,
     cloud: Cloud = None,
     edges: Edges = None,
@@ -124,9 +134,10 @@ def view(
     png: Annotated[Path | None, typer.Option(help="Render to this file instead of opening a window.")] = None,
 ) -> None:
     """Show the audited map in 3D (needs Open3D)."""
-    check_outputs([png], [file, values, cloud])
+    files = MapFiles(files=file, values=values, loops=loops, one_map=one_map, ignore_unknown=ignore_unknown)
+    files.check_outputs([png], cloud)
     with stages(8) as stage:
-        audited = _audit(file, values, radius, cloud, edges, min_shared_landmarks, beta, optimise, stage)
+        audited = _audit(files, radius, cloud, edges, min_shared_landmarks, beta, optimise, stage)
         if png is not None:
             stage("rendering")
             scene.render_png(audited.document, png)
@@ -135,8 +146,7 @@ def view(
 
 
 def _audit(
-    file: Path | None,
-    values: Path | None,
+    files: MapFiles,
     radius: str | None,
     cloud: Path | None,
     edges: str | None,
@@ -148,7 +158,7 @@ def _audit(
     """Read, optimise, find the radius, diagnose: numbered steps of every command that audits a map."""
     stage("reading")
     metres = None if radius in (None, "auto") else _metres(str(radius))
-    dataset, radii = read_map(file, values, metres, cloud)
+    dataset, radii = read_map(files, metres, cloud)
     notes, best = list(dataset.notes), dataset.values
 
     if optimise:
@@ -176,7 +186,7 @@ def _audit(
         "norm": found.integrity.norm,
         "optimise": optimise,
     }
-    document = audit_document(found, name=dataset.name, file_format=dataset.format, notes=notes, options=options)
+    document = audit_document(found, name=dataset.title, file_format=dataset.format, notes=notes, options=options)
     return _Audited(dataset=dataset, values=best, diagnosis=found, document=document)
 
 

@@ -15,11 +15,14 @@ from pgti_gtsam.cli.options import (
     Cloud,
     Edges,
     Every,
+    IgnoreUnknown,
+    Loops,
     Map,
+    MapFiles,
     MinShared,
+    OneMap,
     Radius,
     Values,
-    check_outputs,
     counted,
     read_map,
     split_names,
@@ -42,6 +45,9 @@ Tell = Callable[[str, int, int], None]
 def gate(
     file: Map,
     values: Values = None,
+    loops: Loops = None,
+    one_map: OneMap = False,
+    ignore_unknown: IgnoreUnknown = False,
     radius: Radius = None,
     cloud: Cloud = None,
     edges: Edges = None,
@@ -57,13 +63,14 @@ def gate(
     ] = None,
 ) -> None:
     """Judge the loop closures of a graph as they came, and write the graph without those that fail."""
-    check_outputs([decisions, out, out_values], [file, values, cloud])
+    files = MapFiles(files=file, values=values, loops=loops, one_map=one_map, ignore_unknown=ignore_unknown)
+    files.check_outputs([decisions, out, out_values], cloud)
     if scores and decisions is None:
         raise InvalidOptionError("expected --decisions PATH with --scores, which adds to it, got --scores alone")
     started = time.perf_counter()
     with counted() as tell:
         tell("reading", 0, 1)
-        dataset, radii = read_map(file, values, radius, cloud, every)
+        dataset, radii = read_map(files, radius, cloud, every)
         if out_values is not None and dataset.format != gtsam_archive.NAME:
             raise InvalidOptionError(f"expected --out-values with a GTSAM archive, got {dataset.format}: use --out")
         gated = gate_graph(
@@ -85,7 +92,7 @@ def gate(
         if decisions is not None:
             write_json_lines(records, decisions)
     console = Console(highlight=False)
-    print_heading(dataset.name, f"{len(records)} loop closures, each judged when it came", dataset.notes, console)
+    print_heading(dataset.title, f"{len(records)} loop closures, each judged when it came", dataset.notes, console)
     print_decisions(records, console)
     print_tally(records, console, seconds=time.perf_counter() - started)
     print_left_out(unwritten, "the gated graph's file", console)
@@ -95,6 +102,9 @@ def gate(
 def closures(
     file: Map,
     values: Values = None,
+    loops: Loops = None,
+    one_map: OneMap = False,
+    ignore_unknown: IgnoreUnknown = False,
     radius: Radius = None,
     cloud: Cloud = None,
     edges: Edges = None,
@@ -107,11 +117,12 @@ def closures(
     A closure is taken out, the map brought to its optimum without it, and the closure offered to the gate.
     False closures that agree vouch for each other here, and many tear the map for all: those are for `gate`.
     """
-    check_outputs([json], [file, values, cloud])
+    files = MapFiles(files=file, values=values, loops=loops, one_map=one_map, ignore_unknown=ignore_unknown)
+    files.check_outputs([json], cloud)
     started = time.perf_counter()
     with counted() as tell:
         tell("reading", 0, 1)
-        dataset, radii = read_map(file, values, radius, cloud, every)
+        dataset, radii = read_map(files, radius, cloud, every)
         judged, alone = leave_one_out(
             dataset.graph,
             dataset.values,
@@ -130,7 +141,7 @@ def closures(
             }
             document = closures_document(
                 records,
-                name=dataset.name,
+                name=dataset.title,
                 file_format=dataset.format,
                 notes=dataset.notes,
                 options=options,
@@ -138,7 +149,7 @@ def closures(
             )
             write_json(document, json)
     console = Console(highlight=False)
-    print_heading(dataset.name, f"{len(records)} loop closures, each against all others", dataset.notes, console)
+    print_heading(dataset.title, f"{len(records)} loop closures, each against all others", dataset.notes, console)
     print_closures(worst_first(records), console)
     print_tally(records, console, seconds=time.perf_counter() - started)
     if alone:

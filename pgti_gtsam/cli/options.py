@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
+from contextvars import ContextVar
+from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
 from typing import Annotated, Any
@@ -16,18 +17,24 @@ from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeEl
 from pgti_gtsam import datasets
 from pgti_gtsam.adapter import EDGE_SOURCES, MIN_SHARED_LANDMARKS
 from pgti_gtsam.adapter.values import read_keyframes
+from pgti_gtsam.datasets.formats import FORMATS
 from pgti_gtsam.dense_map import radii_from_cloud
 from pgti_gtsam.errors import InvalidOptionError
 
+READ_NOTES: ContextVar[tuple[str, ...]] = ContextVar("notes of the map that was read", default=())
+KINDS = ", ".join(format.name for format in FORMATS)
 File = Annotated[
-    Path | None,
-    typer.Argument(
-        help="Map: g2o, TORO, GTSAM archive, KITTI stereo, CARMEN or FLIRTLib log. Default: KITTI 00 from GTSAM.",
-        show_default=False,
-    ),
+    list[Path] | None,
+    typer.Argument(help=f"Map, one of: {KINDS}. Default: KITTI 00 from GTSAM.", show_default=False),
 ]
-Map = Annotated[
-    Path, typer.Argument(help="Map with loop closures: g2o, TORO, GTSAM archive or another that audit reads.")
+Map = Annotated[list[Path], typer.Argument(help="Map with loop closures, of any kind that audit reads.")]
+OneMap = Annotated[bool, typer.Option("--one-map", help="The files are sessions or robots of one map, in one frame.")]
+Loops = Annotated[
+    Path | None,
+    typer.Option(help="Loops of a trajectory, one a line: two indices or timestamps, and the relative pose if known."),
+]
+IgnoreUnknown = Annotated[
+    bool, typer.Option("--ignore-unknown", help="Leave out lines that tie two poses in an unknown way.")
 ]
 Values = Annotated[
     Path | None, typer.Option("--values", help="Archive of the values, where FILE is an archived graph.")
@@ -52,9 +59,41 @@ Every = Annotated[int, typer.Option(help="Keep every so many-th pose as a keyfra
 Beta = Annotated[float, typer.Option(help="Share of the time scales that counts as local.")]
 
 
-def read_map(
-    file: Path | None, values: Path | None, radius: float | None, cloud: Path | None, every: int = 1
-) -> tuple[datasets.Dataset, Any]:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MapFiles:
+    """The files of a map and how to read them; no file: the default map."""
+
+    files: Sequence[Path] | None
+    values: Path | None = None
+    loops: Path | None = None
+    one_map: bool = False
+    ignore_unknown: bool = False
+
+    def check_outputs(self, outputs: Iterable[Path | None], *inputs: Path | None) -> None:
+        """Refuse outputs that cannot be written, that would overwrite what is read, or each other."""
+        check_outputs(outputs, [*(self.files or ()), self.values, self.loops, *inputs])
+
+    def read(self) -> datasets.Dataset:
+        """The dataset in the files.
+
+        Raises
+        ------
+        InvalidOptionError
+            Several files that are not said to be one map.
+        PgtiError
+            Those of reading.
+        """
+        files = self.files or ()
+        if len(files) > 1 and not self.one_map:
+            raise InvalidOptionError(f"expected one map, got {len(files)} files; if they are one map say --one-map")
+        if self.one_map:
+            return datasets.read_one_map(files, ignore_unknown=self.ignore_unknown)
+        if not files:
+            return datasets.builtin()
+        return datasets.read(files[0], self.values, loops=self.loops, ignore_unknown=self.ignore_unknown)
+
+
+def read_map(files: MapFiles, radius: float | None, cloud: Path | None, every: int = 1) -> tuple[datasets.Dataset, Any]:
     """The dataset of a file, thinned out if asked for, and its radii as `from_gtsam` takes them.
 
     Raises
@@ -64,8 +103,8 @@ def read_map(
     PgtiError
         Those of reading, of `subsample` and of `radii_from_cloud`.
     """
-    dataset = datasets.builtin() if file is None else datasets.read(file, values)
-    dataset = _thinned(dataset, every)
+    dataset = _thinned(files.read(), every)
+    READ_NOTES.set(dataset.notes)
     if cloud is None:
         return dataset, radius if radius is not None else dataset.radii
     if radius is not None:

@@ -151,8 +151,9 @@ def assemble(
 
     # a value for every variable
     _refuse_mixture(file, [*poses.values(), *(b.factor.measured() for b in betweens)], sightings, points or {})
-    placed = _with_factors(file, poses, {key for _, key in named}) if poses else _place_poses(file, named, betweens)
+    placed = poses or _place_poses(file, named, betweens)
     _refuse_missing(file, named, placed, "has no vertex line although others have one")
+    placed = _with_factors(file, placed, {key for _, key in named})
     landmarks = _nearest_sightings(sightings, placed) | dict(points or {})
     unplaced = next((s for s in sightings if s.landmark not in landmarks), None)
     if unplaced is not None:

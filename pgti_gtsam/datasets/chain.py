@@ -171,7 +171,7 @@ def chain_odometry(dataset: Dataset) -> gtsam.Values:
     for key, pose in chained.items():
         values.update(key, pose)
     for point, key in earliest_observers(dataset.graph, stored).items():
-        position = _point(values, point, stored[key])
+        position = point_of(values, point, stored[key])
         if position is not None:
             values.erase(point)
             insert_point(values, point, chained[key].transformFrom(stored[key].transformTo(position)))
@@ -190,7 +190,7 @@ def earliest_observers(graph: gtsam.NonlinearFactorGraph, poses: Mapping[int, Po
     return earliest
 
 
-def _point(values: gtsam.Values, key: int, pose: Pose) -> NDArray[np.float64] | None:
+def point_of(values: gtsam.Values, key: int, pose: Pose) -> NDArray[np.float64] | None:
     """The value of a key as a point of the space that ``pose`` lives in, or None where it is none."""
     try:
         point = values.atPoint2(key) if isinstance(pose, gtsam.Pose2) else values.atPoint3(key)

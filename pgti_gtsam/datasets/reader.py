@@ -62,14 +62,18 @@ def read(
         loops=None if loops is None else Path(loops),
         ignore_unknown=ignore_unknown,
     )
-    dataset = _format(source).parse(source)
+    dataset = read_source(source)
     return robust_slam.with_truth(robust_slam.with_labels(dataset, source.path), source.path, read_plain)
+
+
+def read_source(source: Source) -> Dataset:
+    """The dataset in a source, without looking for labels and truth beside it."""
+    return _format(source).parse(source)
 
 
 def read_plain(path: Path) -> Dataset:
     """The dataset in a file, without looking for labels and truth beside it."""
-    source = Source(path=path)
-    return _format(source).parse(source)
+    return read_source(Source(path=path))
 
 
 def builtin(name: str = "kitti00") -> Dataset:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import IO, Any, NamedTuple
 
 from pgti_gtsam.datasets.dataset import Dataset
-from pgti_gtsam.datasets.text import TextFile, bare_name, split_lines
+from pgti_gtsam.datasets.text import TextFile, bare_name, joined, split_lines
 from pgti_gtsam.errors import FileFormatError
 
 OPENERS: dict[bytes, Callable[[Path], Any]] = {
@@ -52,12 +52,15 @@ class Source:
         A second file that lists the loops of a trajectory.
     ignore_unknown : bool
         Lines that tie two variables in an unknown way are counted instead of refused.
+    more : tuple of Path
+        Further text files whose lines belong to the same map.
     """
 
     path: Path
     values: Path | None = None
     loops: Path | None = None
     ignore_unknown: bool = False
+    more: tuple[Path, ...] = ()
 
     @property
     def name(self) -> str:
@@ -88,7 +91,8 @@ class Source:
         FileFormatError
             The file is binary or empty. Bytes that are not UTF-8 become "�".
         """
-        return split_lines(self.path, read_text(self.path), ignore_unknown=self.ignore_unknown)
+        first = split_lines(self.path, read_text(self.path), ignore_unknown=self.ignore_unknown)
+        return joined([first, *map(read_lines, self.more)]) if self.more else first
 
     def error(self, message: str) -> FileFormatError:
         """An error that names this source."""

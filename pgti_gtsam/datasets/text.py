@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from bisect import bisect_right
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path
 from typing import NamedTuple, TypeVar
@@ -146,6 +146,23 @@ def split_lines(path: Path, text: str, *, ignore_unknown: bool = False, comma: b
             lines.append(line)
             tags.setdefault(words.split(None, 1)[0], []).append(line)
     return TextFile(path=path, lines=lines, tags=tags, comments=comments, ignore_unknown=ignore_unknown)
+
+
+def joined(files: Sequence[TextFile]) -> TextFile:
+    """The lines of several files as one, which in errors still name their own file."""
+    lines, comments, others = list[Line](), list[Line](), list[tuple[int, Path]]()
+    tags: dict[str, list[Line]] = {}
+    before = 0
+    for file in files:
+        others.append((before + 1, file.path))
+        comments += [Line(line.number + before, line.text) for line in file.comments]
+        for line in file.lines:
+            moved = Line(line.number + before, line.text)
+            lines.append(moved)
+            tags.setdefault(line.fields[0], []).append(moved)
+        before += max((line.number for line in (*file.lines, *file.comments)), default=0)
+    notes = [f"{len(files)} files are one map: {', '.join(file.path.name for file in files)}"]
+    return replace(files[0], lines=lines, comments=comments, tags=tags, others=tuple(others), notes=notes)
 
 
 def parse_table(file: TextFile, lines: Sequence[Line], *, ids: int, widths: Collection[int], first: int) -> Table:

@@ -24,7 +24,7 @@ from pgti_gtsam.datasets.dataset import Dataset
 from pgti_gtsam.datasets.formats import toro
 from pgti_gtsam.datasets.g2o_cameras import CAMERA_TAGS, camera_edges, camera_poses
 from pgti_gtsam.datasets.g2o_edges import EDGES, pose_edges
-from pgti_gtsam.datasets.g2o_landmarks import LANDMARK_TAGS, landmarks, points, without_tags
+from pgti_gtsam.datasets.g2o_landmarks import LANDMARK_TAGS, SIGHTING_TAGS, landmarks, points, without_tags
 from pgti_gtsam.datasets.noise import POINT_3, information, information_models
 from pgti_gtsam.datasets.source import Format, Source
 from pgti_gtsam.datasets.text import TextFile, by_identifier, note_ignored
@@ -100,7 +100,7 @@ def _remark(file: TextFile) -> None:
         file.notes.append(f"{fixed} FIX lines are wishes to the optimiser and make no factor")
     if positions := len(file.tags.get(POSITION, ())):
         file.notes.append(f"{positions} {POSITION} lines are read as GPS factors")
-    if LANDMARK_TAGS & file.tags.keys():
+    if SIGHTING_TAGS & file.tags.keys():
         file.notes.append("sightings of landmarks are read as bearing-range factors")
     note_ignored(file, QUIET)
 
