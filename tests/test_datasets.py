@@ -2,6 +2,7 @@
 
 import bz2
 import gzip
+from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -9,6 +10,7 @@ from hypothesis import strategies as st
 from small_files import CARMEN, CHAIN, FLIRTLIB, G2O, TEXTS, TORO, VICTORIA, read_text
 
 from pgti_gtsam import datasets
+from pgti_gtsam.datasets import formats
 from pgti_gtsam.errors import FileFormatError, InvalidOptionError, PgtiError
 
 
@@ -174,3 +176,10 @@ def test_a_damaged_file_is_read_or_refused_but_never_crashes(tmp_path_factory, t
         assert set(dataset.graph.keyVector()) <= set(dataset.values.keys())
     assert "\n" not in message
     assert len(message) < 600 + len(str(folder))
+
+
+def test_every_format_is_one_short_module():
+    folder = Path(formats.__file__).parent
+    lengths = {path.name: path.read_text(encoding="utf-8").count("\n") for path in folder.glob("*.py")}
+    assert max(lengths.values()) <= 150, lengths
+    assert len({format.name for format in formats.FORMATS}) == len(formats.FORMATS)

@@ -65,7 +65,7 @@ def refuse(source: Source) -> NoReturn:
             raise source.error(f"looks like {foreign.name}, which is not read; {foreign.advice}")
     if source.path.suffix == ".osa":
         raise source.error("looks like an atlas of ORB-SLAM3 (.osa), which is not read; call SaveKeyFrameTrajectoryTUM")
-    raise source.error(_text(source.file))
+    raise source.error(_text(source.file) if source.is_text else "is binary, of no format that is read")
 
 
 def _text(file: TextFile) -> str:

@@ -6,7 +6,7 @@ import bz2
 import gzip
 import lzma
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Set
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -81,6 +81,21 @@ class Source:
     def data(self) -> bytes:
         """All bytes, decompressed."""
         return read_bytes(self.path)
+
+    @cached_property
+    def is_text(self) -> bool:
+        """Whether this is a file whose first bytes are text."""
+        return not self.is_folder and b"\0" not in self.head
+
+    @property
+    def tags(self) -> Set[str]:
+        """First fields of the lines; none of what is no text."""
+        return self.file.tags.keys() if self.is_text else set()
+
+    @property
+    def first(self) -> list[str]:
+        """Fields of the first line; none of what is no text."""
+        return self.file.lines[0].fields if self.is_text and self.file.lines else []
 
     @cached_property
     def file(self) -> TextFile:

@@ -1,6 +1,15 @@
 """The list of formats: a new one is a module with ``FORMAT``, and a place in this list."""
 
-from pgti_gtsam.datasets.formats import carmen, flirtlib, g2o, gtsam_archive, kitti_stereo, toro, victoria_park
+from pgti_gtsam.datasets.formats import (
+    carmen,
+    flirtlib,
+    g2o,
+    gtsam_archive,
+    kitti_stereo,
+    toro,
+    trajectory,
+    victoria_park,
+)
 from pgti_gtsam.datasets.source import Format
 
 # The first that recognises a source reads it: those that name themselves in their first bytes come before text,
@@ -12,6 +21,7 @@ FORMATS: tuple[Format, ...] = (
     g2o.FORMAT,
     toro.FORMAT,
     victoria_park.FORMAT,
+    trajectory.FORMAT,
     kitti_stereo.FORMAT,
 )
 

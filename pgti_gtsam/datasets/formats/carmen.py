@@ -51,15 +51,9 @@ def parse(source: Source, *, step_m: float = 0.5, step_rad: float = 0.5) -> Data
     Parameters
     ----------
     source : Source
-        The log.
     step_m, step_rad : float
         A scan becomes a keyframe when the robot has travelled so far, or turned so much, since the last one;
-        the ends of closures do so in any case.
-
-    Returns
-    -------
-    Dataset
-        Keyframes are numbered from 0. Radii are the smallest valid ranges of the keyframes' own scans.
+        the ends of closures do so in any case. Keyframes are numbered from 0.
 
     Raises
     ------
@@ -150,4 +144,4 @@ def _loop_relations(file: TextFile, times: NDArray[np.float64]) -> tuple[list[Re
     return relations, notes
 
 
-FORMAT = Format(NAME, lambda source: bool(TAGS & source.file.tags.keys()), parse)
+FORMAT = Format(NAME, lambda source: bool(TAGS & source.tags), parse)

@@ -52,4 +52,4 @@ def _radii(file: TextFile) -> dict[int, float]:
     return {vertex: radius for vertex, radius in radii.items() if radius is not None}
 
 
-FORMAT = Format(NAME, lambda source: source.file.tags.keys() >= {"VERTEX2", "ROBOTLASER1"}, parse)
+FORMAT = Format(NAME, lambda source: source.tags >= {"VERTEX2", "ROBOTLASER1"}, parse)

@@ -105,4 +105,4 @@ def _remark(file: TextFile) -> None:
     note_ignored(file, QUIET)
 
 
-FORMAT = Format(NAME, lambda source: bool(TAGS & source.file.tags.keys()), parse)
+FORMAT = Format(NAME, lambda source: bool(TAGS & source.tags), parse)

@@ -134,7 +134,7 @@ def _values(poses: dict[int, gtsam.Pose3], table: Table) -> gtsam.Values:
 
 
 def _recognises(source: Source) -> bool:
-    first = source.file.lines[0].fields if source.file.lines else []
+    first = source.first
     return len(first) == WIDTH and all(map(is_number, first)) and first[0].isdecimal() and first[1].isdecimal()
 
 

@@ -90,4 +90,4 @@ def sightings(file: TextFile) -> list[Sighting]:
     return found
 
 
-FORMAT = Format(NAME, lambda source: bool(TAGS & source.file.tags.keys()), parse)
+FORMAT = Format(NAME, lambda source: bool(TAGS & source.tags), parse)

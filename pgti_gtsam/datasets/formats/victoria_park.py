@@ -42,4 +42,4 @@ def parse(source: Source) -> Dataset:
     return assemble(file, format=NAME, poses={}, entries=entries, sightings=seen, known=TAGS)
 
 
-FORMAT = Format(NAME, lambda source: bool(TAGS & source.file.tags.keys()), parse)
+FORMAT = Format(NAME, lambda source: bool(TAGS & source.tags), parse)

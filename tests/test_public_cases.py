@@ -1,0 +1,166 @@
+"""Files as people have them, one trouble each: what `pgti-gtsam audit --radius 0.5` says of them.
+
+The files lie beside the checkout; laws that need no file stand in `test_datasets_g2o.py` and its neighbours.
+"""
+
+import json
+import sys
+from pathlib import Path
+
+import gtsam
+import numpy as np
+import pytest
+
+from pgti_gtsam import cli, datasets
+from pgti_gtsam.datasets.chain import between_factors, poses_of
+
+CASES = Path(__file__).parents[1] / ".." / "shared" / "data" / "public_cases"
+pytestmark = pytest.mark.skipif(not CASES.is_dir(), reason="the development data are not beside the checkout")
+
+AS_GOOD = {
+    "good.g2o": None,
+    "good3.g2o": None,
+    "c01_symbol_keys.g2o": None,
+    "c02_edge_without_information.g2o": "unit information assumed",
+    "c05_crlf_tabs.g2o": None,
+    "c06_full_matrix.g2o": None,
+    "c08_zero_information_closure.g2o": None,
+    "c10_switchable.g2o": None,
+    "c13_self_edge.g2o": "left out 1 edges from a vertex to itself",
+    "c14_isolated_vertex.g2o": "1 vertex without edges left out",
+    "c17_expmap.g2o": None,
+    "c18_rtabmap_tag_with_orientation.g2o": "1 tags with an orientation",
+    "c25_xy_without_information.g2o": "unit information assumed",
+    "c28_bearing_only.g2o": None,
+    "c48_lowercase_comment.g2o": None,
+    "c49_rtabmap_prior2d.g2o": "EDGE_PRIOR_SE2_XY",
+    "c52_slamplusplus_edge2.txt": None,
+    "c68_indefinite_information.g2o": "negative eigenvalue",
+    "c72_slampp_edge2_only_vertices.txt": None,
+    "c76_bad_quaternion_norm.g2o": None,
+}
+REFUSED = {
+    "c04_comma_decimals.g2o": "decimal comma; write the file with LC_NUMERIC=C",
+    "c12_duplicate_vertex.g2o": "line 17: VERTEX_SE2 0 is defined a second time",
+    "c15_edge_to_missing_vertex.g2o": "line 17: vertex 8 has no vertex line",
+    "c45_map.pbstream": "looks like a Cartographer state",
+    "c47_pose_labels.csv": "looks like a table with commas",
+    "c50_nan_vertex.g2o": "line 8: expected a finite number, got 'nan'",
+}
+
+
+@pytest.fixture
+def run(monkeypatch, capsys):
+    """Run the command line in this process: exit code, standard output, standard error."""
+
+    def call(*words):
+        monkeypatch.setattr(sys, "argv", ["pgti-gtsam", *map(str, words)])
+        with pytest.raises(SystemExit) as stop:
+            cli.main()
+        return stop.value.code or 0, *capsys.readouterr()
+
+    return call
+
+
+@pytest.fixture
+def audited(run, tmp_path):
+    """The document of an audit that succeeds."""
+
+    def call(name, radius=0.5):
+        found = tmp_path / "found.json"
+        code, _, err = run("audit", CASES / name, "--radius", radius, "--json", found)
+        assert (code, err) == (0, "")
+        return json.loads(found.read_text())
+
+    return call
+
+
+def positions(name):
+    return np.array([pose.translation() for pose in poses_of(datasets.read(CASES / name).values).values()])
+
+
+@pytest.mark.parametrize("name", AS_GOOD)
+def test_a_square_of_eight_poses_is_read_as_such(audited, name):
+    document = audited(name)
+    assert document["summary"]["n_keyframes"] == 8
+    assert document["adaptation"]["edges"]["between"] == 8
+    assert document["summary"]["score"] == pytest.approx(0.0, abs=1e-9)
+    assert document["verdict"]["level"] == "consistent"
+    notes = datasets.read(CASES / name).notes
+    assert AS_GOOD[name] is None or any(AS_GOOD[name] in note for note in notes)
+
+
+@pytest.mark.parametrize("name", [name for name in AS_GOOD if "c13" not in name])
+def test_the_square_lies_where_the_good_file_has_it(name):
+    np.testing.assert_allclose(positions(name)[:, :2], positions("good.g2o"), atol=2e-6)
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_cannot_be_read_is_named_with_the_way_out(run, name):
+    code, out, err = run("audit", CASES / name, "--radius", 0.5)
+    assert (code, out) == (2, "")
+    assert REFUSED[name] in err
+
+
+def test_symbols_are_the_labels_of_keyframes(audited):
+    assert audited("c01_symbol_keys.g2o")["keyframes"]["label"] == [f"a{i}" for i in range(8)]
+
+
+def test_a_switchable_closure_is_one_closure(run):
+    dataset = datasets.read(CASES / "c10_switchable.g2o")
+    assert [set(dataset.graph.at(slot).keys()) for slot in dataset.closures] == [{0, 7}]
+    code, out, _ = run("gate", CASES / "c10_switchable.g2o", "--radius", 0.5)
+    assert code == 0
+    assert "1 closures" in out
+
+
+def test_camera_poses_fit_their_edges():
+    """g2o's own files hold camera to world (its ``write`` inverts), and so does this one: its edges fit that alone."""
+    dataset = datasets.read(CASES / "c17_expmap.g2o")
+    for between in between_factors(dataset.graph):
+        pose = dataset.values.atPose3(between.first).between(dataset.values.atPose3(between.second))
+        assert pose.equals(between.factor.measured(), 1e-5)
+
+
+@pytest.mark.parametrize(
+    ("name", "landmark", "position"),
+    [("c18_rtabmap_tag_with_orientation.g2o", 12, [3, 1, 0]), ("c25_xy_without_information.g2o", 20, [2, 2])],
+)
+def test_a_landmark_is_sighted_twice(audited, name, landmark, position):
+    adaptation = audited(name)["adaptation"]
+    assert (adaptation["n_landmarks"], adaptation["n_observations"]) == (1, 2)
+    values, key = datasets.read(CASES / name).values, gtsam.symbol("l", landmark)
+    found = values.atPoint3(key) if len(position) == 3 else values.atPoint2(key)
+    np.testing.assert_allclose(found, position, atol=1e-9)
+
+
+def test_an_edge_from_a_vertex_to_itself_is_left_out(audited):
+    assert audited("c66_same_pair_self_edge_real_style.g2o")["adaptation"]["edges"]["between"] == 20
+    notes = datasets.read(CASES / "c66_same_pair_self_edge_real_style.g2o").notes
+    assert any("from a vertex to itself" in note for note in notes)
+
+
+@pytest.mark.parametrize("name", ["c68_indefinite_information.g2o", "c22_submap_star.g2o"])
+def test_the_gate_runs_and_judges_the_closure_alone(run, name):
+    code, out, _ = run("gate", CASES / name, "--radius", 0.5)
+    assert code == 0
+    assert "0 – 7" in out
+    assert "1 pass, 0 do not" in out
+
+
+def test_a_point_that_nothing_sights_is_in_nobodys_way(run, audited):
+    assert audited("c81_point_with_value_and_no_factor.g2o", radius=1)["summary"]["n_keyframes"] == 3
+    assert run("gate", CASES / "c81_point_with_value_and_no_factor.g2o", "--radius", 1)[0] == 0
+
+
+def test_vertices_alone_are_a_trajectory(audited):
+    document = audited("c74_vertices_only.g2o")
+    assert (document["summary"]["n_keyframes"], document["adaptation"]["edges"]["between"]) == (8, 7)
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["c60_second_session_starts_with_closure", "c62_second_session_tied_later", "c63_reversed_odometry"],
+)
+def test_sessions_are_consistent(audited, name):
+    assert audited(f"{name}.g2o")["verdict"]["level"] == "consistent"
