@@ -17,6 +17,7 @@ from scenarios.aliasing import figure, maps, tables, trials
 from scenarios.aliasing.methods import METHODS
 from scenarios.diagnosis import contacts_fit
 from scenarios.diagnosis import maps as diagnosed_maps
+from scenarios.diagnosis import narrow as narrow_cameras
 from scenarios.diagnosis import tables as diagnosis_tables
 from scenarios.diagnosis import trials as diagnosis_trials
 from scenarios.worlds.layouts import LAYOUTS
@@ -146,6 +147,7 @@ def known_damage(
     ),
     undamaged: Annotated[str, typer.Option(help="Seeds of maps without damage.")] = ",".join(map(str, range(50, 65))),
     covisible: Annotated[str, typer.Option(help="Seeds of maps with landmarks.")] = "50",
+    narrow: Annotated[str, typer.Option(help="Seeds of maps by a wide and a narrow camera.")] = "60,61,62,63,64,65,66",
     scheduler: Annotated[str | None, typer.Option(help="Address of a Dask scheduler; a local cluster without.")] = None,
     out: Annotated[Path, typer.Option(help="A JSON line a case; known ones are kept.")] = RESULTS / "diagnosis.jsonl",
 ) -> None:
@@ -156,10 +158,14 @@ def known_damage(
         raise InvalidOptionError(f"expected worlds from {', '.join(LAYOUTS)}, got {', '.join(unknown)}")
     drawn = (_whole_numbers(text) for text in (seeds, undamaged, covisible))
     cases = list(diagnosis_trials.world_trials(wanted, *drawn))
+    cameras = list(diagnosis_trials.narrow_trials(_whole_numbers(narrow)))
+    cases += [trial for trial in cameras if trial not in cases]
     cases += diagnosis_trials.real_trials() if data is not None else []
     rows = sweep.run(out, cases, diagnosis_trials.row, scheduler, print, data=data)
     for line in diagnosis_tables.report(rows):
         print(line)
+    seen = [row for trial, row in zip(cases, rows, strict=True) if trial in cameras]
+    print("\nthe same maps by a wide and by a narrow camera\n\n" + "\n".join(narrow_cameras.paired(seen)))
     described = out.with_name(out.stem + "_maps.json")
     diagnosed_maps.write(rows, data, described)
     diagnosed_maps.draw(json_text.loads(described.read_text(encoding="utf-8")), out.with_suffix(".png"))

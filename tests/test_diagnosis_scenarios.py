@@ -11,7 +11,8 @@ import pytest
 from optional import needs_open3d
 
 import pgti_gtsam as pgti
-from scenarios.diagnosis import maps, stretches, tables, trials
+from scenarios.diagnosis import maps, narrow, stretches, tables, trials
+from scenarios.diagnosis.courses import course
 from scenarios.diagnosis.damage import Case
 from scenarios.diagnosis.expectation import expected
 from scenarios.diagnosis.trials import Trial
@@ -110,3 +111,58 @@ def test_a_case_is_the_same_again(kind):
     assert one.false_slots == other.false_slots
     assert one.graph.size() == other.graph.size()
     assert one.values.equals(other.values, 1e-9)
+
+
+@needs_open3d
+def test_cameras_of_the_same_map_differ_in_what_they_see_alone():
+    wide, slim = (trials.case(Trial("campus", 1000, variant, "false closure"), None) for variant in narrow.VARIANTS)
+    assert wide.graph.at(wide.false_slots[0]).keys() == slim.graph.at(slim.false_slots[0]).keys()
+    wide, slim = (trials.case(Trial("campus", 1000, variant, "nothing"), None) for variant in narrow.VARIANTS)
+    np.testing.assert_array_equal(wide.places, slim.places)
+    widest = [
+        max(
+            abs(np.arctan2(*(pose.transformTo(case.values.atPoint3(key))[[1, 0]])))
+            for pose, key in sightings(case, course("campus", 1000).truth)
+        )
+        for case in (wide, slim)
+    ]
+    assert widest[1] < np.radians(27) < np.radians(40) < widest[0] < np.radians(53)
+
+
+def sightings(case, truth):
+    """True pose and landmark of the sightings of some keyframes."""
+    keys = [case.graph.at(slot).keys() for slot in range(0, case.graph.size(), 50)]
+    return [(truth[i], key) for i, key in keys if key > len(truth)]
+
+
+@needs_open3d
+def test_looks_and_walls_between_keyframes():
+    pairs = np.array([[i, j] for i in range(0, 400, 7) for j in range(i + 1, 400, 11)])
+    level = course("campus", 1000)
+    looks = [pose.rotation().yaw() for pose in level.truth]
+    apart = [np.cos(looks[j] - looks[i]) for i, j in pairs]
+    np.testing.assert_allclose(np.cos(narrow.turns(level, pairs)), apart, atol=1e-6)
+
+    driven = course("storeys", 1000)
+    places = np.array([pose.translation() for pose in driven.truth])
+    away = np.abs(np.diff(places[pairs], axis=1)[:, 0])
+    is_above = (away[:, :2] < 1.0).all(axis=1) & (np.abs(away[:, 2] - 3.0) < 0.1)
+    assert is_above.any()
+    assert narrow.walled(driven, pairs[is_above]).all()
+    steps = np.column_stack([np.arange(400), np.arange(1, 401)])
+    assert narrow.walled(driven, steps).mean() < 0.05
+
+
+def test_what_two_cameras_see_is_compared_line_by_line():
+    row = {"verdict": "incomplete", "expected": "incomplete", "damage": "nothing", "ranks": [], "visible": None}
+    row |= dict.fromkeys(["fusion", "collision", "fusion_turned", "collision_turned", "fusion_walled"], 2)
+    row |= {"collision_walled": 1, "missed_walled": 1, "kinds": {"missed closure": 3}}
+    torn = row | {"damage": "false closure", "ranks": [1], "visible": False, "verdict": "undecided"}
+    rows = [row | {"variant": "covisible"}, row | {"variant": "narrow"}, torn | {"variant": "narrow"}]
+    lines = list(narrow.paired([*rows, {"variant": "narrow", "failed": "no optimum"}]))
+    assert lines[0] == "| | covisible | narrow |"
+    assert "| maps | 1 | 2 |" in lines
+    assert "| verdict right, undecided, wrong | 1, 0, 0 | 1, 1, 0 |" in lines
+    assert "| one false closure, least probable | 0 of 0 | 1 of 1 |" in lines
+    assert "| intact, through a wall | 3 | 3 |" in lines
+    assert "| of these places, through a wall alone | 1 | 1 |" in lines

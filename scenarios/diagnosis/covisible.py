@@ -2,17 +2,26 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import gtsam
 import numpy as np
+from numpy.typing import NDArray
 
 from scenarios.diagnosis import damage, sparse
 from scenarios.diagnosis.courses import Course, course, second_passes
 from scenarios.diagnosis.damage import Case, Intact
+from scenarios.diagnosis.stretches import Pairs
 from scenarios.worlds import MATCH, landmarks
-from scenarios.worlds.layouts import LAYOUTS
+from scenarios.worlds.layouts import LAYOUTS, Layout
+from scenarios.worlds.sensors import Sensor
 from scenarios.worlds.solid import Array
 
 SEEN = 30
 """Landmarks a keyframe: twice as many as two keyframes share that the adapter takes for tied."""
+
+AT_ONCE = 4000
+"""Points that are looked for together, a matter of time alone."""
 
 DAMAGES = (damage.NOTHING, damage.DROPPED, damage.FALSE, damage.MANY_FALSE, damage.ODOMETRY)
 """Of `damage.DAMAGES`, those that such maps are given."""
@@ -20,21 +29,28 @@ DAMAGES = (damage.NOTHING, damage.DROPPED, damage.FALSE, damage.MANY_FALSE, dama
 Sightings = list[tuple[int, Array]]
 
 
-def case(world: str, seed: int, kind: str) -> Case:
-    """A course through a world with one of `DAMAGES`."""
-    random = np.random.default_rng([seed, sorted(LAYOUTS).index(world), damage.DAMAGES.index(kind)])
+def case(world: str, seed: int, kind: str, sensor: Sensor | None = None) -> Case:
+    """A course through a world with one of `DAMAGES`, seen by the layout's sensor or another.
+
+    Drive, landmarks, their strength and the damage are the same for all sensors.
+    """
+    of_sightings, random = np.random.default_rng(
+        [seed, sorted(LAYOUTS).index(world), damage.DAMAGES.index(kind)]
+    ).spawn(2)
     driven = course(world, seed)
-    seen, points = _sightings(driven, random)
+    if sensor is not None:
+        driven = replace(driven, layout=replace(driven.layout, sensor=sensor))
+    seen = _sightings(driven, of_sightings)
     if kind == damage.DROPPED:
         passes = second_passes(driven)
         seen = _forgotten(seen, *_ends(passes[random.integers(len(passes))])) if passes else seen
     if kind == damage.ODOMETRY:
         seen = _followed(seen)
-    found = _intact(driven, seen, points)
+    found = _intact(driven, seen)
     return damage.damaged(found, kind, random, range(len(driven.truth)), float(np.median(driven.radii)))
 
 
-def _intact(driven: Course, seen: list[Sightings], points: Array) -> Intact:
+def _intact(driven: Course, seen: list[Sightings]) -> Intact:
     """The map of what was seen; landmarks are placed where they are, or from odometry alone."""
     sensor = driven.layout.sensor
     graph, near = landmarks.landmark_graph(seen, driven.truth, sensor)
@@ -52,21 +68,30 @@ def _intact(driven: Course, seen: list[Sightings], points: Array) -> Intact:
     )
 
 
-def _sightings(driven: Course, random: np.random.Generator) -> tuple[list[Sightings], Array]:
+def _sightings(driven: Course, random: np.random.Generator) -> list[Sightings]:
     """For each keyframe, points in view, the strongest ones, and where it sees them; a point keeps its identity."""
     layout, sensor = driven.layout, driven.layout.sensor
     points = landmarks.places(layout.solid, sensor, driven.truth[0].z(), layout.landmarks_per_m2, random)
-    strength = random.permutation(len(points))
+    points = points[random.permutation(len(points))]  # the strongest first
     seen = []
     for pose in driven.truth:
-        view = sensor.sees(layout.solid, pose, points)
-        view = view[random.random(len(view)) >= sensor.drop_out]
-        view = view[np.argsort(strength[view])][:SEEN]
+        view = _strongest(layout, pose, points, random)
         local = (points[view] - pose.translation()) @ pose.rotation().matrix()
         away = np.linalg.norm(local, axis=1, keepdims=True)
         local = local * (1 + random.normal(0.0, sensor.noise_m, away.shape) / away)
         seen.append(list(zip(view.tolist(), local, strict=True)))
-    return seen, points
+    return seen
+
+
+def _strongest(layout: Layout, pose: gtsam.Pose3, points: Array, random: np.random.Generator) -> NDArray[np.int64]:
+    """The first points in view that are not missed; more are looked at only until there are enough."""
+    found = np.zeros(0, dtype=np.int64)
+    for start in range(0, len(points), AT_ONCE):
+        view = start + layout.sensor.sees(layout.solid, pose, points[start : start + AT_ONCE])
+        found = np.concatenate([found, view[random.random(len(view)) >= layout.sensor.drop_out]])
+        if len(found) >= SEEN:
+            break
+    return found[:SEEN]
 
 
 def _forgotten(seen: list[Sightings], first: int, last: int) -> list[Sightings]:
@@ -91,6 +116,6 @@ def _followed(seen: list[Sightings]) -> list[Sightings]:
     return found
 
 
-def _ends(pairs: Array) -> tuple[int, int]:
+def _ends(pairs: Pairs) -> tuple[int, int]:
     """First and last keyframe of the later pass."""
     return int(pairs[:, 1].min()), int(pairs[:, 1].max())

@@ -12,12 +12,12 @@ import numpy as np
 
 from pgti_gtsam.diagnosis import Diagnosis, diagnose
 from pgti_gtsam.errors import PgtiError
-from scenarios.diagnosis import covisible, damage, real, sparse
+from scenarios.diagnosis import covisible, damage, narrow, real, sparse
 from scenarios.diagnosis.damage import Case
 from scenarios.diagnosis.expectation import Expectation, expected
 from scenarios.diagnosis.stretches import any_chance, is_real
 
-SPARSE, COVISIBLE, REAL = "sparse", "covisible", "real"
+SPARSE, COVISIBLE, NARROW, REAL = "sparse", "covisible", "narrow", "real"
 
 FALSE_SEEDS, DROPPED_SEEDS = 20, 5
 """False closures and dropped revisits that are drawn in every real graph."""
@@ -27,7 +27,7 @@ LARGE = ("intel", "fr079", "manhattan_olson3500")
 
 
 class Trial(NamedTuple):
-    """A world or a graph's name, a seed, one of the three kinds of map, one of `damage.DAMAGES`."""
+    """A world or a graph's name, a seed, one of the four kinds of map, one of `damage.DAMAGES`."""
 
     world: str
     seed: int
@@ -46,6 +46,12 @@ def world_trials(
         yield Trial(world, seed, COVISIBLE, kind)
 
 
+def narrow_trials(seeds: Sequence[int]) -> Iterator[Trial]:
+    """Every damage in the worlds of a camera, seen by a wide and by a narrow one."""
+    for seed, world, kind, variant in product(seeds, narrow.WORLDS, covisible.DAMAGES, narrow.VARIANTS):
+        yield Trial(world, seed, variant, kind)
+
+
 def real_trials() -> list[Trial]:
     """Every damage of every real graph, drawn anew where there is something to draw; the slow ones last."""
     draws = {damage.FALSE: FALSE_SEEDS, damage.DROPPED: DROPPED_SEEDS}
@@ -62,7 +68,7 @@ def case(trial: Trial, data: Path | None) -> Case:
         if data is None:
             raise ValueError("expected the folder of the real graphs, got none; give --data")
         return real.case(trial.world, trial.seed, trial.damage, data)
-    make = sparse.case if trial.variant == SPARSE else covisible.case
+    make = {SPARSE: sparse.case, COVISIBLE: covisible.case, NARROW: narrow.case}[trial.variant]
     return make(trial.world, trial.seed, trial.damage)
 
 
@@ -84,8 +90,13 @@ def row(trial: Trial, data: Path | None) -> dict[str, Any]:
         | {"loosest": _short(right.loosest), "nearest_chance": _short(right.nearest_chance)}
         | _places(found, right)
         | _closures(built, found, right)
+        | (narrow.overlaps(trial.world, trial.seed, found) if _is_by_camera(trial) else {})
         | {"seconds": _short(seconds)}
     )
+
+
+def _is_by_camera(trial: Trial) -> bool:
+    return trial.variant in narrow.VARIANTS and trial.world in narrow.WORLDS
 
 
 def verdict(trial: Trial, right: Expectation) -> str:
