@@ -270,11 +270,15 @@ class Contacts:
         own = np.arange(len(covariance))[self.settled.model.translation]
         turn = np.setdiff1d(np.arange(len(covariance)), own)
         turn_rad = float(np.sqrt(np.linalg.eigvalsh(covariance[np.ix_(turn, turn)])[-1]))
+
+        # from the model's frames to the caller's
         first, second = (self.settled.poses[k] for k in pair)
+        turn = self.settled.model.levelling
+        carry = turn.AdjointMap()
         return Proposal(
             keyframes=pair,
-            pose=first.between(second),
-            covariance=covariance,
+            pose=turn.compose(first.between(second)).compose(turn.inverse()),
+            covariance=carry @ covariance @ carry.T,
             sigma_m=shift_m,
             sigma_deg=float(np.degrees(turn_rad)),
             search_m=SEARCH * shift_m,

@@ -25,6 +25,7 @@ from pgti_gtsam.errors import UnsolvableGraphError
 from pgti_gtsam.gate.evidence import free_space_unit
 from pgti_gtsam.gate.ties import Ties, adjoints, alike, errors_of, ties_of, variances_of
 from pgti_gtsam.gate.trial import optimised
+from pgti_gtsam.gate.upright import chained, upright
 from pgti_gtsam.places import places_on
 from pgti_gtsam.pose_graph import PoseGraph
 from pgti_gtsam.spectral.block_inverse import (
@@ -46,8 +47,11 @@ loose anchor would let the whole map swing, and what is asked for would drown in
 HELD = 0.5
 """Standard deviation of a position that a factor of one variable holds, in ρ: a satellite receiver, say."""
 
-MAX_ITERATIONS = 10
+MAX_ITERATIONS = 40
 """Levenberg-Marquardt steps to the model's optimum. Where closures are false there is no good one, nor need."""
+
+DRAWN = 1000
+"""Pairs of keyframes that the spread of a map is drawn from."""
 
 Array = NDArray[np.float64]
 
@@ -67,6 +71,8 @@ class DriftModel:
         Keyframes whose position a factor of one variable holds.
     along : (n,) float
         Coordinate of every keyframe along its track, as `places_on` has it.
+    levelling : gtsam.Pose2 or gtsam.Pose3
+        Turn Q that took the caller's poses T to the model's, T Q, whose z axis is the body's vertical.
     """
 
     unit_m: float
@@ -74,6 +80,7 @@ class DriftModel:
     ties: Ties
     held: NDArray[np.bool_]
     along: Array
+    levelling: Any
 
     @property
     def is_planar(self) -> bool:
@@ -91,10 +98,11 @@ class DriftModel:
 
     @cached_property
     def spread(self) -> Array:
-        """Covariance of the relative pose of keyframes drawn at random, were all headings alike, (d, d)."""
-        places = np.array([pose.translation() for pose in self.poses])
-        extent = float(np.sqrt(2 * places.var(axis=0).mean()))
-        return np.diag(variances_of(extent, np.pi / np.sqrt(3), is_planar=self.is_planar))
+        """Covariance of the relative pose of keyframes drawn at random, axis by axis, (d, d)."""
+        first, second = np.random.default_rng(0).integers(len(self.poses), size=(2, DRAWN))
+        pairs = zip(first.tolist(), second.tolist(), strict=True)
+        apart = np.array([_parted(self.poses[i].between(self.poses[j])) for i, j in pairs])
+        return np.diag(np.square(apart).mean(axis=0))
 
     def settled(
         self,
@@ -288,13 +296,30 @@ def drift_model(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, pose_gr
     """
     unit, keyframes = free_space_unit(pose_graph), read_keyframes(values)
     poses = alike([_pose(keyframes, int(key)) for key in pose_graph.keys])
+    ties = ties_of(graph, pose_graph, poses, unit)
+    levelling: Any = gtsam.Pose2()
+
+    # in space the z axis becomes the body's vertical
+    if isinstance(poses[0], gtsam.Pose3):
+        steps = ties.only(ties.drifts > 0)
+        body = upright(*chained(len(poses), steps.pairs, steps.measured, steps.drifts))
+        levelling = gtsam.Pose3(body.levelling, np.zeros(3))
+        ties = ties.levelled(body)
     return DriftModel(
         unit_m=unit,
-        poses=poses,
-        ties=ties_of(graph, pose_graph, poses, unit),
+        poses=tuple(pose.compose(levelling) for pose in poses),
+        ties=ties,
         held=_held(graph, keyframes.index),
         along=places_on(pose_graph, track_of(pose_graph)),
+        levelling=levelling,
     )
+
+
+def _parted(pose: Any) -> Array:
+    """Translation and rotation vector of a relative pose, in GTSAM's order, (d,)."""
+    if isinstance(pose, gtsam.Pose2):
+        return np.array([pose.x(), pose.y(), pose.theta()])
+    return np.concatenate([gtsam.Rot3.Logmap(pose.rotation()), pose.translation()])
 
 
 def _held(graph: gtsam.NonlinearFactorGraph, index: dict[int, int]) -> NDArray[np.bool_]:

@@ -1,18 +1,12 @@
 """A finished map's own closures, each judged against all the others by the drift model.
 
-What a closure misses the others' prediction by is weighed under three hypotheses: the closure is true and measures a
-pose; it is true and matches no more than a place; it is false, and lies as far off as keyframes of this map lie
-apart. Where the drift is as wide as the map the three say the same, and nothing is held against the closure.
-
 False closures that agree vouch for each other, and many false ones tear the map for all. So the worst are taken out,
 the rest is looked at again, and what fits the rest after all is let in again.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,16 +15,9 @@ from scipy.stats import chi2
 
 from pgti_gtsam.gate.drift_model import DriftModel, Settled
 from pgti_gtsam.gate.left_out import left_out, left_out_together
+from pgti_gtsam.gate.log_odds import log_odds, log_odds_together
 from pgti_gtsam.gate.ties import OFFSET, OFFSET_RAD
 from pgti_gtsam.places import neighbourhoods
-
-NEAR, NEAR_RAD = 0.5, 0.25
-"""Standard deviation of a match of places, in ρ and in rad: it misses by less than the free space, and ties what
-belongs together. The true loops on KITTI 06 miss the ground truth by 0.57 m in the median and 1.39 m at most, 0.35 ρ
-at ρ = 4 m."""
-
-NEAR_SHARE = 0.1
-"""Of true closures, those that match places."""
 
 PRIOR = float(np.log(19))
 """Log odds before looking that a closure of a finished map is true: 95 %."""
@@ -112,7 +99,7 @@ def own_closures(model: DriftModel) -> OwnClosures:
         missed, others = left_out(settled, closures)
         held = active[closures]
         poorer = _poorer(model, missed[held], others[held])
-        odds = log_odds(model, missed, poorer * others)
+        odds = PRIOR + log_odds(model, missed, poorer * others)
         together = _together(settled, [group[active[group]] for group in groups], odds, poorer)
 
         # take out the worst, or let in again what fits after all
@@ -167,21 +154,9 @@ def _together(settled: Settled, groups: list[NDArray[np.int64]], odds: Array, po
     found = np.full(len(odds), np.nan)
     agreeing = [group for group in groups if len(group) >= 2 and (odds[row[group]] > 0).all()]
     for group, (missed, others) in zip(agreeing, left_out_together(settled, agreeing), strict=True):
-        found[row[group]] = _log_odds_of_one(model, group, settled.poses, missed, poorer * others)
+        later = model.ties.pairs[group, 1].tolist()
+        found[row[group]] = PRIOR + log_odds_together(model, settled.poses, later, missed, poorer * others)
     return found
-
-
-def _log_odds_of_one(
-    model: DriftModel, group: NDArray[np.int64], poses: Sequence[Any], missed: Array, others: Array
-) -> float:
-    """Log odds that the members of a revisit are true, against one false offset of all."""
-    later = model.ties.pairs[group][:, 1].tolist()
-    near = np.tile(model.variances(NEAR, NEAR_RAD), len(group))
-    moved = np.vstack([poses[j].between(poses[later[0]]).AdjointMap() for j in later])
-    is_true = others + np.diag(near)
-    flat = missed.reshape(1, -1)
-    is_false = is_true + moved @ model.spread @ moved.T
-    return float(PRIOR + log_normal(flat, is_true[None])[0] - log_normal(flat, is_false[None])[0])
 
 
 def _poorer(model: DriftModel, missed: Array, others: Array) -> float:
@@ -191,32 +166,3 @@ def _poorer(model: DriftModel, missed: Array, others: Array) -> float:
     known = squares[np.isfinite(squares)]
     usual = chi2.median(missed.shape[1])
     return float(np.clip(np.median(known) / usual, 1.0, POOREST)) if len(known) else 1.0
-
-
-def log_odds(model: DriftModel, missed: Array, others: Array) -> Array:
-    """Log odds of true against false closures, (k,).
-
-    Parameters
-    ----------
-    missed : (k, d) float
-        By how much each misses what the others predict.
-    others : (k, d, d) float
-        Covariance of that prediction; NaN where there is none, and then the log odds are NaN.
-    """
-    known = np.isfinite(others).all(axis=(1, 2))
-    found = np.full(len(missed), np.nan)
-    missed, others = missed[known], others[known]
-    exact, near = (np.diag(model.variances(*sigmas)) for sigmas in ((OFFSET, OFFSET_RAD), (NEAR, NEAR_RAD)))
-    is_true = np.logaddexp(
-        np.log(1 - NEAR_SHARE) + log_normal(missed, others + exact),
-        np.log(NEAR_SHARE) + log_normal(missed, others + near),
-    )
-    found[known] = PRIOR + is_true - log_normal(missed, others + near + model.spread)
-    return found
-
-
-def log_normal(x: Array, covariances: Array) -> Array:
-    """log N(x; 0, C), (k,), of (k, d) vectors and (k, d, d) covariances."""
-    _, log_determinants = np.linalg.slogdet(covariances)
-    squares = np.einsum("ka,ka->k", x, np.linalg.solve(covariances, x[:, :, None])[:, :, 0])
-    return np.asarray(-0.5 * (squares + log_determinants + x.shape[1] * np.log(2 * np.pi)))

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
+from pgti_gtsam.gate.upright import Upright
 from pgti_gtsam.pose_graph import EdgeSource, PoseGraph
 
 DRIFT = 0.03
@@ -40,12 +41,15 @@ class Ties:
         In the tangent space of j, in GTSAM's order.
     slots : (m,) int
         Slot of the loop closure that the tie is; −1 for odometry and what both keyframes see.
+    drifts : (m,) float
+        Variance of the heading that a step of odometry gathers, rad²; zero of what is none.
     """
 
     pairs: NDArray[np.int64]
     measured: tuple[Any, ...]
     variances: Array
     slots: NDArray[np.int64]
+    drifts: Array
 
     @property
     def closures(self) -> NDArray[np.int64]:
@@ -60,14 +64,23 @@ class Ties:
             measured=tuple(self.measured[k] for k in own.tolist()),
             variances=self.variances[own],
             slots=self.slots[own],
+            drifts=self.drifts[own],
         )
+
+    def levelled(self, body: Upright) -> Ties:
+        """The same ties between poses that are turned so that their z axis is the body's vertical, in space only."""
+        turn = gtsam.Pose3(body.levelling, np.zeros(3))
+        variances = self.variances.copy()
+        variances[self.drifts > 0, :2] *= body.tilt**2
+        measured = tuple(turn.inverse().compose(z).compose(turn) for z in self.measured)
+        return replace(self, measured=measured, variances=variances)
 
 
 def ties_of(graph: gtsam.NonlinearFactorGraph, pose_graph: PoseGraph, poses: Sequence[Any], unit: float) -> Ties:
     """Odometry, closures and what two keyframes both see, of the edges in their order."""
     planar = isinstance(poses[0], gtsam.Pose2)
     keys = pose_graph.keys.tolist()
-    rows: list[tuple[tuple[int, int], Any, Array, int]] = []
+    rows: list[tuple[tuple[int, int], Any, Array, int, float]] = []
     known = zip(pose_graph.edges.tolist(), pose_graph.edge_sources.tolist(), pose_graph.edge_slots, strict=True)
     for (i, j), source, slots in known:
         if not source & (EdgeSource.BETWEEN | EdgeSource.COVISIBILITY):
@@ -78,18 +91,19 @@ def ties_of(graph: gtsam.NonlinearFactorGraph, pose_graph: PoseGraph, poses: Seq
         if source & EdgeSource.ODOMETRY:
             step = found[0][0] if found else poses[i].between(poses[j])
             drift = DRIFT * float(np.sqrt(max(_length(step) / unit, _angle(step), SHORTEST)))
-            rows.append(((i, j), step, variances_of(drift * unit, drift, is_planar=planar), -1))
+            rows.append(((i, j), step, variances_of(drift * unit, drift, is_planar=planar), -1, drift**2))
             continue
 
         # a closure, or what both keyframes see, holds as well as a match
         tolerance = variances_of(OFFSET * unit, OFFSET_RAD, is_planar=planar)
         for z, slot in found or [(poses[i].between(poses[j]), -1)]:
-            rows.append(((i, j), z, tolerance, slot))
+            rows.append(((i, j), z, tolerance, slot, 0.0))
     return Ties(
         pairs=np.array([row[0] for row in rows], dtype=np.int64).reshape(-1, 2),
         measured=tuple(row[1] for row in rows),
         variances=np.array([row[2] for row in rows]).reshape(-1, 3 if planar else 6),
         slots=np.array([row[3] for row in rows], dtype=np.int64),
+        drifts=np.array([row[4] for row in rows]),
     )
 
 

@@ -1,0 +1,97 @@
+"""Log odds of true against false closures, from what they miss the map's prediction by.
+
+A closure is true and measures a pose; or true and matches no more than a place; or false, and lies as far off as
+keyframes of this map lie apart. Where the drift is as wide as the map the three say the same, and nothing is held
+against the closure.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pgti_gtsam.gate.drift_model import DriftModel
+from pgti_gtsam.gate.ties import OFFSET, OFFSET_RAD
+
+NEAR, NEAR_RAD = 0.5, 0.25
+"""Standard deviation of a match of places, in ρ and in rad: it misses by less than the free space, and ties what
+belongs together. The true loops on KITTI 06 miss the ground truth by 0.57 m in the median and 1.39 m at most, 0.35 ρ
+at ρ = 4 m."""
+
+NEAR_SHARE = 0.1
+"""Of true closures, those that match places."""
+
+Array = NDArray[np.float64]
+
+
+def log_odds(model: DriftModel, missed: Array, predicted: Array) -> Array:
+    """Log odds of single closures before any prior, (k,).
+
+    Parameters
+    ----------
+    missed : (k, d) float
+        By how much each misses what the map predicts.
+    predicted : (k, d, d) float
+        Covariance of that prediction; NaN where there is none, and then the log odds are NaN.
+    """
+    known = np.isfinite(predicted).all(axis=(1, 2))
+    found = np.full(len(missed), np.nan)
+    missed, predicted = missed[known], predicted[known]
+    exact, near = (np.diag(model.variances(*sigmas)) for sigmas in ((OFFSET, OFFSET_RAD), (NEAR, NEAR_RAD)))
+    is_true = np.logaddexp(
+        np.log(1 - NEAR_SHARE) + log_normal(missed, predicted + exact),
+        np.log(NEAR_SHARE) + log_normal(missed, predicted + near),
+    )
+    found[known] = is_true - log_normal(missed, predicted + near + model.spread)
+    return found
+
+
+def log_odds_together(
+    model: DriftModel, poses: Sequence[Any], later: Sequence[int], missed: Array, predicted: Array
+) -> float:
+    """Log odds that closures of one revisit are true, against one false offset that all of them share.
+
+    That members agree with each other says nothing: those of a false revisit do so as well. Where no offset fits all,
+    each is false by itself.
+
+    Parameters
+    ----------
+    model : DriftModel
+    poses : sequence of gtsam.Pose2 or gtsam.Pose3
+        Of the map that predicts.
+    later : sequence of g int
+        Keyframe j of each closure, in whose frame it misses.
+    missed : (g, d) float
+    predicted : (g d, g d) float
+        Joint covariance of the predictions.
+    """
+    moved = np.vstack([poses[j].between(poses[later[0]]).AdjointMap() for j in later])
+    offset = moved @ model.spread @ moved.T
+    is_true, is_false = (_matched_together(model, missed, predicted + more) for more in (0.0, offset))
+    own = np.arange(len(missed))
+    alone = predicted.reshape(len(missed), -1, len(missed), missed.shape[1])[own, :, own]
+    near = np.diag(model.variances(NEAR, NEAR_RAD))
+    each_false = float(log_normal(missed, alone + near + model.spread).sum()) if len(missed) > 1 else -np.inf
+    return is_true - max(is_false, each_false)
+
+
+def _matched_together(model: DriftModel, missed: Array, covariance: Array) -> float:
+    """Log density of what closures miss, all of which measure poses or all match places."""
+    found = [
+        np.log(share) + log_normal(missed.reshape(1, -1), (covariance + np.diag(tolerance))[None])[0]
+        for share, tolerance in (
+            (1 - NEAR_SHARE, np.tile(model.variances(OFFSET, OFFSET_RAD), len(missed))),
+            (NEAR_SHARE, np.tile(model.variances(NEAR, NEAR_RAD), len(missed))),
+        )
+    ]
+    return float(np.logaddexp(*found))
+
+
+def log_normal(x: Array, covariances: Array) -> Array:
+    """log N(x; 0, C), (k,), of (k, d) vectors and (k, d, d) covariances."""
+    _, log_determinants = np.linalg.slogdet(covariances)
+    squares = np.einsum("ka,ka->k", x, np.linalg.solve(covariances, x[:, :, None])[:, :, 0])
+    return np.asarray(-0.5 * (squares + log_determinants + x.shape[1] * np.log(2 * np.pi)))
