@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -61,10 +61,13 @@ def gate(
     out_values: Annotated[
         Path | None, typer.Option(help="Write the gated graph's optimum, where FILE is an archive.")
     ] = None,
+    rejected: Annotated[
+        Path | None, typer.Option(help="Write the closures that fail, a line each: the two identifiers in FILE.")
+    ] = None,
 ) -> None:
     """Judge the loop closures of a graph as they came, and write the graph without those that fail."""
     files = MapFiles(files=file, values=values, loops=loops, one_map=one_map, ignore_unknown=ignore_unknown)
-    files.check_outputs([decisions, out, out_values], cloud)
+    files.check_outputs([decisions, out, out_values, rejected], cloud)
     if scores and decisions is None:
         raise InvalidOptionError("expected --decisions PATH with --scores, which adds to it, got --scores alone")
     started = time.perf_counter()
@@ -77,6 +80,7 @@ def gate(
             dataset.graph,
             dataset.values,
             radii,
+            closures=dataset.closures if dataset.states_closures else None,
             gate=_gate(edges, min_shared_landmarks),
             progress=lambda done, of: tell("judging closures", done, of),
         )
@@ -91,12 +95,16 @@ def gate(
         unwritten = _write_gated(dataset, gated, out, out_values)
         if decisions is not None:
             write_json_lines(records, decisions)
+        if rejected is not None:
+            _write_pairs(dataset, gated.rejected, rejected)
     console = Console(highlight=False)
     print_heading(dataset.title, f"{len(records)} loop closures, each judged when it came", dataset.notes, console)
     print_decisions(records, console)
     print_tally(records, console, seconds=time.perf_counter() - started)
     print_left_out(unwritten, "the gated graph's file", console)
-    _print_paths({"decisions": decisions, "gated graph": out, "its values": out_values}, console)
+    _print_paths(
+        {"decisions": decisions, "gated graph": out, "its values": out_values, "rejected closures": rejected}, console
+    )
 
 
 def closures(
@@ -127,6 +135,7 @@ def closures(
             dataset.graph,
             dataset.values,
             radii,
+            closures=dataset.closures if dataset.states_closures else None,
             gate=_gate(edges, min_shared_landmarks),
             progress=lambda done, of: tell("judging closures", done, of),
         )
@@ -207,6 +216,13 @@ def _write_gated(dataset: Dataset, gated: GatedGraph, out: Path | None, out_valu
         "radii, which g2o has no word for": len(dataset.radii or ()),
     }
     return {**written.unwritten, **{what: count for what, count in own.items() if count}}
+
+
+def _write_pairs(dataset: Dataset, slots: Iterable[int], path: Path) -> None:
+    """Write the ends of closures as the map's file names them, a pair a line."""
+    ends = _ends(dataset, slots).values()
+    lines = [" ".join(dataset.names.get(key, str(key)) for key in keys) + "\n" for keys in ends]
+    path.write_text("".join(lines), encoding="utf-8")
 
 
 def _print_paths(paths: Mapping[str, Path | None], console: Console) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import gtsam
 
@@ -30,6 +30,8 @@ class Dataset:
         Metres of free space around the poses whose scans the file holds.
     closures : tuple of int
         Slots of the factors between poses that are not odometry, by the later of their poses.
+    states_closures : bool
+        Whether the file itself says which factors these are; otherwise they are found by the order of keys.
     true_closures : frozenset of int, or None
         Those of them that are known to be true; None when nothing is known.
     truth : gtsam.Values, or None
@@ -38,6 +40,8 @@ class Dataset:
         Short sentences on what was read, assumed and ignored.
     ignored_edges : int
         Lines that tie poses in an unknown way and were left out because that was asked for.
+    names : mapping of int to str
+        What the file calls a variable, by key, where that is not the key itself.
     """
 
     name: str
@@ -46,10 +50,12 @@ class Dataset:
     values: gtsam.Values
     radii: Mapping[int, float] | None = None
     closures: tuple[int, ...] = ()
+    states_closures: bool = False
     true_closures: frozenset[int] | None = None
     truth: gtsam.Values | None = None
     notes: tuple[str, ...] = ()
     ignored_edges: int = 0
+    names: Mapping[int, str] = field(default_factory=dict)
 
     @property
     def title(self) -> str:

@@ -109,6 +109,10 @@ class Source:
         first = split_lines(self.path, read_text(self.path), ignore_unknown=self.ignore_unknown)
         return joined([first, *map(read_lines, self.more)]) if self.more else first
 
+    def blank(self) -> TextFile:
+        """No lines: what takes notes and complains in the name of a source that is no text."""
+        return TextFile(path=self.path, lines=(), tags={}, title=self.name)
+
     def error(self, message: str) -> FileFormatError:
         """An error that names this source."""
         return FileFormatError(self.path, message)

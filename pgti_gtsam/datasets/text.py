@@ -69,6 +69,8 @@ class TextFile:
         Number of the first line of every further file, and the file, where several are one map.
     shift : int
         Added to identifiers of poses, so that none is negative: keys of GTSAM cannot be.
+    title : str, optional
+        The name of the map, where that is not the file's.
     """
 
     path: Path
@@ -79,11 +81,12 @@ class TextFile:
     ignore_unknown: bool = False
     others: tuple[tuple[int, Path], ...] = ()
     shift: int = 0
+    title: str | None = None
 
     @property
     def name(self) -> str:
-        """The file's name without the ending of its format and compression."""
-        return bare_name(self.path)
+        """The title, or else the file's name without the ending of its format and compression."""
+        return self.title or bare_name(self.path)
 
     def table(self, tag: str, *, ids: int, widths: Collection[int], poses: int = 0) -> Table:
         """Lines of ``tag`` as arrays.

@@ -6,6 +6,7 @@ from pgti_gtsam.datasets.formats import (
     g2o,
     gtsam_archive,
     kitti_stereo,
+    rtabmap,
     toro,
     trajectory,
     victoria_park,
@@ -15,6 +16,7 @@ from pgti_gtsam.datasets.source import Format
 # The first that recognises a source reads it: those that name themselves in their first bytes come before text,
 # and a kind of text comes before those whose lines it shares.
 FORMATS: tuple[Format, ...] = (
+    rtabmap.FORMAT,
     gtsam_archive.FORMAT,
     flirtlib.FORMAT,
     carmen.FORMAT,
