@@ -3,8 +3,10 @@
 A robot is the letter of its keys; plain numbers are those of one robot. A *step* ties two keyframes of one robot of
 which each is the other's nearest: no factor leads from the earlier one to one in between, and none to the later one
 from there. Neighbours in the order of the keys that a factor ties are a step. Keyframes farther apart are one where
-the chains of several robots run through each other under plain numbers: there, steps cross. A *chain* is what steps
-hold together: a session of a robot, up to where its odometry breaks off.
+the chains of several robots run through each other under plain numbers: steps cross there, and each goes on. A factor
+over several keyframes stands in for a step that is missing where nothing else ties its keyframe, or where all are
+registered against as many neighbours. A *chain* is what steps hold together: a session of a robot, up to where its
+odometry breaks off.
 
 A factor over several steps is a *skip*, and odometry too, where the way explains it: see `Roles`. Every other factor
 between keyframes is a loop closure.
@@ -28,7 +30,7 @@ NEIGHBOURS = 10
 """Most keyframes from one end of a step or of a lone skip to the other. Windows of visual odometry are shorter."""
 
 AGREES, AGREES_RAD = 0.25, 0.25
-"""Most by which a skip may miss the chained steps, in parts of the way between its ends and in rad. Of 513 factors over
+"""Most by which a skip may miss the chained steps, in parts of the way between its ends and in rad. Of 511 factors over
 at most ten keyframes of intel, manhattan and city10000 the worst misses by 0.2 of the way and by 0.18 rad; the two of
 MIT, across steps on which the wheels slip, miss by 0.26 and 0.42 and stay closures."""
 
@@ -36,7 +38,7 @@ RETURNS = 0.75
 """Distance between its ends, in parts of how far the way led off from the first, below which a factor brings the sensor
 back to where it was, and is a loop closure however short the way."""
 
-DENSE = 0.5
+DENSE = 0.3
 """Least share of the pairs at some distance on a chain that are tied where every keyframe is registered against its
 neighbours as a matter of course."""
 
@@ -242,29 +244,34 @@ def _codes(pairs: Pairs, n: int) -> NDArray[np.int64]:
 
 def _steps(keys: NDArray[np.uint64], measured: Pairs, covisible: Pairs, held: NDArray[np.bool_]) -> Pairs:
     """Steps among pairs that factors tie and pairs that see the same, (s, 2), sorted."""
-    # pairs of one robot, but for those that two chains running through each other outvote
+    # pairs of one robot, but for those that two chains running through each other outvote where neighbours are rare
     n, robots = len(keys), keys >> np.uint64(56)
     codes = np.unique(_codes(np.concatenate([measured, covisible]), n))
     pairs = np.stack([codes // n, codes % n], axis=1)
     pairs = pairs[robots[pairs[:, 0]] == robots[pairs[:, 1]]]
-    pairs = pairs[~(_are_nearest(n, pairs) & _contested(n, pairs))]
+    _, robot, sizes = np.unique(robots, return_inverse=True, return_counts=True)
+    on = robot[pairs[:, 0]]
+    rare = np.bincount(on[pairs[:, 1] == pairs[:, 0] + 1], minlength=len(sizes)) < DENSE * (sizes - 1)
+    pairs = pairs[~(rare[on] & _are_nearest(n, pairs) & _contested(n, pairs))]
 
-    # neighbours, and nearest keyframes farther apart where such pairs cross
+    # neighbours, and nearest keyframes farther apart on chains that cross
     gap = np.diff(pairs, axis=1)[:, 0]
     by_factor = np.isin(_codes(pairs, n), _codes(measured, n))
+    steps = pairs[gap == 1]
     hops = pairs[_are_nearest(n, pairs) & by_factor & (gap > 1) & (gap <= NEIGHBOURS)]
-    steps = np.concatenate([pairs[gap == 1], hops[_crossed(n, hops)]])
+    goes_on = np.isin(hops[:, 0], [*steps[:, 1], *hops[:, 1]]) | np.isin(hops[:, 1], [*steps[:, 0], *hops[:, 0]])
+    steps = np.concatenate([steps, hops[goes_on & _crossed(n, hops)]])
 
-    # what no step reaches hangs on its nearest tie
-    reached = held.copy()
+    # what stands in for steps that are missing
+    reached, chain, stand_ins = held.copy(), chains_of(n, steps), []
     reached[steps.ravel()] = True
-    hanging = pairs[by_factor & (gap <= NEIGHBOURS)]
-    chosen = []
-    for tie in hanging[np.argsort(np.diff(hanging, axis=1)[:, 0], kind="stable")].tolist():
-        if not reached[tie].all():
-            chosen.append(tie)
-            reached[tie] = True
-    codes = np.unique(_codes(np.concatenate([steps, np.array(chosen, dtype=np.int64).reshape(-1, 2)]), n))
+    dense = _dense_to(robot, pairs, pairs)
+    left = by_factor & (gap <= NEIGHBOURS) & (chain[pairs[:, 0]] != chain[pairs[:, 1]])
+    for i, j in pairs[left][np.argsort(gap[left], kind="stable")].tolist():
+        if chain[i] != chain[j] and (j - i <= dense[robot[i]] or not (reached[i] and reached[j])):
+            stand_ins.append((i, j))
+            reached[[i, j]], chain[chain == chain[j]] = True, chain[i]
+    codes = np.unique(_codes(np.concatenate([steps, np.array(stand_ins, dtype=np.int64).reshape(-1, 2)]), n))
     return np.stack([codes // n, codes % n], axis=1)
 
 

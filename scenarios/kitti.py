@@ -120,7 +120,7 @@ def gated(path: Path) -> Row:
     if len(kept.closures) == len(dataset.closures):  # else the loops lie between these frames: all are kept
         dataset = kept
     started = time.process_time()
-    result = pgti.gate_graph(dataset.graph, dataset.values, radii=RADIUS_M)
+    result = pgti.gate_graph(dataset.graph, dataset.values, radii=RADIUS_M, closures=dataset.closures)
     seconds = time.process_time() - started
     true, accepted = set(dataset.true_closures or ()), set(result.accepted)
     only_true = gtsam.NonlinearFactorGraph(dataset.graph)

@@ -78,7 +78,8 @@ def gated(path: Path, seed: int) -> dict[str, Any]:
     for first, second, measured in false:
         graph.add(gtsam.BetweenFactorPose2(first, second, measured, noise))
     started = time.process_time()
-    result = pgti.gate_graph(graph, dataset.values, radii=dataset.radii)
+    offered = [*dataset.closures, *range(dataset.graph.size(), graph.size())]
+    result = pgti.gate_graph(graph, dataset.values, radii=dataset.radii, closures=offered)
     accepted = set(result.accepted)
     return {
         "seed": seed,

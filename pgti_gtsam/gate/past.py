@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pgti_gtsam.adapter.values import typed_value
-from pgti_gtsam.factor_graphs import factors_of, keys_of
+from pgti_gtsam.factor_graphs import factors_of, graph_of, keys_of
 from pgti_gtsam.gate.survey import Radii
 from pgti_gtsam.gate.yardstick import pose_at, poses_of
 
@@ -27,6 +27,9 @@ class Past:
         Those of the graph, empty slots left out.
     since : (f,) int
         Place of the last keyframe of every factor.
+    tied : (n,) int
+        Place of the keyframe with which the map up to each keyframe holds all of its keyframes: one that only later
+        ones tie, as the first of a session, comes with those.
     values : gtsam.Values
         Optimum of all factors.
     first_seen : dict of int to int
@@ -40,6 +43,7 @@ class Past:
     graph: gtsam.NonlinearFactorGraph
     factors: list[Any]
     since: NDArray[np.int64]
+    tied: NDArray[np.int64]
     values: gtsam.Values
     first_seen: dict[int, int]
     keys: NDArray[np.uint64]
@@ -57,14 +61,17 @@ class Past:
         place = {int(key): k for k, key in enumerate(keys)}
         factors = factors_of(graph)
         since = [max((place[key] for key in keys_of(factor) if key in place), default=0) for factor in factors]
-        first_seen = dict(place)
+        first_seen, tied = dict(place), np.full(len(keys), len(keys) - 1)
         for factor, time in zip(factors, since, strict=True):
             for key in keys_of(factor):
+                if key in place:
+                    tied[place[key]] = min(time, tied[place[key]])
                 first_seen[key] = place.get(key, min(time, first_seen.get(key, time)))
         return cls(
             graph=graph,
             factors=factors,
             since=np.array(since),
+            tied=np.maximum.accumulate(tied),
             values=values,
             first_seen=first_seen,
             keys=keys,
@@ -72,13 +79,13 @@ class Past:
         )
 
     def until(self, last: int, known: gtsam.Values) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values, Radii | None]:
-        """Factors, values and radii of the map up to a keyframe.
+        """Factors, values and radii of the map up to a keyframe, or the first one after it with which all are tied.
 
         Poses and points that are not known yet follow the last known keyframe: they are moved with it, rigidly.
         """
-        graph = gtsam.NonlinearFactorGraph()
-        for k in np.flatnonzero(self.since <= last).tolist():
-            graph.push_back(self.factors[k])
+        while self.tied[last] > last:
+            last = int(self.tied[last])
+        graph = graph_of(self.factors[k] for k in np.flatnonzero(self.since <= last).tolist())
         values, motion = gtsam.Values(self.values), self._motion(known)
         for key, time in self.first_seen.items():
             if time > last or known.exists(key):

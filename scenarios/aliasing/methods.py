@@ -80,9 +80,9 @@ def _no_gate(problem: Problem) -> Answer:
 def _gate(problem: Problem, rule: str) -> Answer:
     graph = joined(problem, np.ones(len(problem.closures), dtype=bool))
     gate = pgti.LoopClosureGate(options=pgti.GateOptions(rule=rule))
-    result = pgti.gate_graph(graph, problem.values, radii=problem.radii, gate=gate)
-    first = problem.graph.size()
-    decisions = [result.decisions[first + k] for k in range(len(problem.closures))]
+    slots = range(problem.graph.size(), problem.graph.size() + len(problem.closures))
+    result = pgti.gate_graph(graph, problem.values, radii=problem.radii, closures=slots, gate=gate)
+    decisions = [result.decisions[slot] for slot in slots]
     accepted = np.array([decision.accepted for decision in decisions])
     if rule == "global_rise":
         doubts = [decision.global_score.rise for decision in decisions]
