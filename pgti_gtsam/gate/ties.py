@@ -18,6 +18,10 @@ DRIFT = 0.03
 ρ = 4 m that is 12 cm and 1.7° for four metres of road, with ρ = 0.75 m it is 2 cm and 1.7° for a step indoors: worse
 than what visual or wheel odometry is trusted with."""
 
+STRETCH = 0.1
+"""The same along the motion, on top: a step may be too long or too short. A scale that walks, as a single camera's does,
+or wheels that slip err farther in this direction than in any other."""
+
 SHORTEST = 0.05
 """Least length of a step, in ρ: a standing robot drifts a little too."""
 
@@ -91,7 +95,9 @@ def ties_of(graph: gtsam.NonlinearFactorGraph, pose_graph: PoseGraph, poses: Seq
         if source & EdgeSource.ODOMETRY:
             step = found[0][0] if found else poses[i].between(poses[j])
             drift = DRIFT * float(np.sqrt(max(_length(step) / unit, _angle(step), SHORTEST)))
-            rows.append(((i, j), step, variances_of(drift * unit, drift, is_planar=planar), -1, drift**2))
+            variances = variances_of(drift * unit, drift, is_planar=planar)
+            variances[translation_of(planar)] += np.square(STRETCH / DRIFT * drift * unit * _direction(step))
+            rows.append(((i, j), step, variances, -1, drift**2))
             continue
 
         # a closure, or what both keyframes see, holds as well as a match
@@ -120,6 +126,17 @@ def variances_of(length_m: float, angle: float, *, is_planar: bool) -> Array:
     """Squares of a length in m and of an angle in rad, in the order of GTSAM's tangent space, (d,)."""
     squares = np.square([length_m, length_m, angle] if is_planar else [angle] * 3 + [length_m] * 3)
     return np.asarray(squares, dtype=float)
+
+
+def translation_of(is_planar: bool) -> slice:
+    """Where the translation stands in a tangent vector."""
+    return slice(0, 2) if is_planar else slice(3, 6)
+
+
+def _direction(step: Any) -> Array:
+    """Unit vector of a step's motion in the axes of its end; zero where nothing moves."""
+    moved = np.asarray(step.rotation().unrotate(step.translation()))
+    return np.asarray(moved / max(float(np.linalg.norm(moved)), np.finfo(float).tiny))
 
 
 def _length(step: Any) -> float:
