@@ -1,12 +1,18 @@
 """The list of formats: a new one is a module with ``FORMAT``, and a place in this list."""
 
 from pgti_gtsam.datasets.formats import (
+    bal,
     carmen,
+    colmap,
     flirtlib,
     g2o,
+    glim,
     gtsam_archive,
     kitti_stereo,
+    orb_slam,
+    pyfg,
     rtabmap,
+    stella_vslam,
     toro,
     trajectory,
     victoria_park,
@@ -18,11 +24,17 @@ from pgti_gtsam.datasets.source import Format
 FORMATS: tuple[Format, ...] = (
     rtabmap.FORMAT,
     gtsam_archive.FORMAT,
+    stella_vslam.FORMAT,
+    colmap.FORMAT,
+    orb_slam.FORMAT,
+    glim.FORMAT,
     flirtlib.FORMAT,
     carmen.FORMAT,
+    pyfg.FORMAT,
     g2o.FORMAT,
     toro.FORMAT,
     victoria_park.FORMAT,
+    bal.FORMAT,
     trajectory.FORMAT,
     kitti_stereo.FORMAT,
 )
