@@ -1,5 +1,8 @@
 """The other formats: TORO, Victoria Park, KITTI stereo, laser logs, labels beside the file, GTSAM's archives."""
 
+from pathlib import Path
+from xml.etree import ElementTree
+
 import gtsam
 import numpy as np
 import pytest
@@ -7,6 +10,7 @@ from small_files import CARMEN, CHAIN, FLIRTLIB, SCAN, TORO, TORO_3D, VICTORIA, 
 
 from pgti_gtsam import datasets
 from pgti_gtsam.datasets.chain import between_factors, poses_of
+from pgti_gtsam.datasets.formats import gtsam_archive
 from pgti_gtsam.errors import FileFormatError, InvalidOptionError
 
 L7 = gtsam.symbol("l", 7)
@@ -313,8 +317,39 @@ def test_archives_of_the_wrong_kind_are_refused(archives, tmp_path):
         datasets.read(graph, tmp_path / "graph.txt")
     with pytest.raises(FileFormatError, match=r"absent: no such file"):
         datasets.read(graph, tmp_path / "absent")
-    with pytest.raises(FileFormatError, match="XML archive"):
-        datasets.read(gtsam.findExampleDataFile("toy3D.xml"))
+    path = tmp_path / "graph.bin"
+    path.write_bytes(b"\x16\0\0\0\0\0\0\0serialization::archive\x13\0\x04\x08")
+    with pytest.raises(FileFormatError, match="binary archive"):
+        datasets.read(path, values)
+
+
+@pytest.mark.parametrize("name", ["toy3D.xml", "randomGrid3D.xml"])
+def test_xml_of_gtsam_itself_becomes_the_text_that_gtsam_reads(name):
+    path = Path(gtsam.findExampleDataFile(name))
+    read = gtsam.GaussianFactorGraph()
+    read.deserialize(gtsam_archive.as_text(path))
+    written = [float(item.text) for item in ElementTree.parse(path).getroot().iter("item") if is_decimal(item.text)]
+    jacobians = [read.at(slot).augmentedJacobian() for slot in range(read.size())]
+    np.testing.assert_allclose(np.concatenate([j.ravel("F") for j in jacobians]), written, rtol=1e-12)
+
+
+def is_decimal(text):
+    return text is not None and "e" in text
+
+
+def test_an_xml_archive_gives_the_graph_of_the_text_archive(archives, tmp_path):
+    """The tokens of a text archive, each in an element of its own: what XML writes, but for the elements' names."""
+    written, graph, values = archives
+    tokens = graph.read_text().split()
+    body = "".join(f"<item>{token}</item>" for token in tokens[3:])
+    body = body.replace("gtsam::BetweenFactor<gtsam::Pose2>", "gtsam::BetweenFactor&lt;gtsam::Pose2&gt;")
+    head = '<?xml version="1.0"?><!DOCTYPE boost_serialization><boost_serialization signature="serialization::archive"'
+    (tmp_path / "graph.xml").write_text(f'{head} version="{tokens[2]}"><data>{body}</data></boost_serialization>')
+    dataset = datasets.read(tmp_path / "graph.xml", values)
+    assert dataset.graph.equals(written.graph, 1e-12)
+    (tmp_path / "graph.xml").write_text(f'{head} version="{tokens[2]}"><data>{body}</data>')
+    with pytest.raises(FileFormatError, match="damaged or cut-off XML archive"):
+        datasets.read(tmp_path / "graph.xml", values)
 
 
 @pytest.mark.parametrize("share", [0.3, 0.6, 0.9])

@@ -36,7 +36,11 @@ def parse(source: Source) -> Dataset:
     count = [line.fields[1:] for line in file.tags.get("num_submaps:", ())]
     if len(count) != 1 or len(count[0]) != 1 or not count[0][0].isdecimal():
         raise file.error("expected one line 'num_submaps: n'")
-    poses = {index: _pose(source.beside(f"{index:06d}") / "data.txt") for index in range(int(count[0][0]))}
+    paths = [source.beside(f"{index:06d}") / "data.txt" for index in range(int(count[0][0]))]
+    if missing := [path for path in paths if not path.is_file()]:
+        advice = "name the folder of the dump, which holds a folder for every submap"
+        raise file.error(f"looks like a dump of GLIM without {missing[0].parent.name}/{missing[0].name}; {advice}")
+    poses = dict(enumerate(map(_pose, paths)))
     lines = file.tags.get("matching_cost", ())
     matched = parse_table(file, lines, ids=2, widths=[0], first=2).ids.tolist()
     ties = dict.fromkeys([*pairwise(sorted(poses)), *((min(pair), max(pair)) for pair in matched)])

@@ -1,7 +1,8 @@
-"""GTSAM's own text archives: a serialised NonlinearFactorGraph, and its Values in a second file.
+"""GTSAM's own archives, text or XML: a serialised NonlinearFactorGraph, and its Values in a second file.
 
-A C++ pipeline writes them with ``gtsam::serializeToFile(graph, "graph.txt")`` and Python with
-``open("graph.txt", "w").write(graph.serialize())``; the same for values.
+A C++ pipeline writes them with ``gtsam::serializeToFile(graph, "graph.txt")`` or ``serializeToXMLFile`` and Python with
+``open("graph.txt", "w").write(graph.serialize())``; the same for values. Python's GTSAM reads text alone, so XML is
+brought into text: both hold the same tokens in the same order. Binary archives say nothing of what their bytes mean.
 """
 
 from __future__ import annotations
@@ -10,12 +11,13 @@ import subprocess
 import sys
 from pathlib import Path
 from typing import TypeVar
+from xml.etree import ElementTree
 
 import gtsam
 
 from pgti_gtsam.datasets.chain import between_factors, closure_slots, poses_of
 from pgti_gtsam.datasets.dataset import Dataset
-from pgti_gtsam.datasets.source import Format, Source, read_text
+from pgti_gtsam.datasets.source import Format, Source, read_bytes, read_text
 from pgti_gtsam.errors import FileFormatError
 
 NAME = "GTSAM archive"
@@ -44,8 +46,7 @@ def parse(source: Source) -> Dataset:
     FileFormatError
         An XML archive, an archive of the wrong kind or a damaged one, or no file of values.
     """
-    text, values_path = read_text(source.path), source.values
-    _refuse_xml(source.path, text)
+    text, values_path = as_text(source.path), source.values
     if VALUES_MARK in text:
         raise source.error("holds GTSAM values; expected the factor graph here, and these as --values FILE")
     if values_path is None:
@@ -67,17 +68,14 @@ def parse(source: Source) -> Dataset:
 
 
 def read_values(path: Path) -> gtsam.Values:
-    """Values from a text archive.
+    """Values from an archive.
 
     Raises
     ------
     FileFormatError
         The file is no archive of values, or a damaged one.
     """
-    text = read_text(path)
-    if MAGIC.decode() not in text[:HEAD] and "boost_serialization" not in text[:HEAD]:
-        raise FileFormatError(path, f"expected a text archive of gtsam.Values; {ADVICE}")
-    _refuse_xml(path, text)
+    text = as_text(path)
     if VALUES_MARK not in text:  # GTSAM reads a graph's archive as no values at all, without a word
         raise FileFormatError(path, "expected an archive of gtsam.Values with at least one value")
     return _deserialize(path, text, gtsam.Values)
@@ -88,9 +86,49 @@ def write_archive(written: gtsam.NonlinearFactorGraph | gtsam.Values, path: Path
     path.write_text(written.serialize(), encoding="utf-8")
 
 
-def _refuse_xml(path: Path, text: str) -> None:
-    if not text.lstrip()[:2].isdigit():
-        raise FileFormatError(path, f"is an XML archive, expected a text archive; {ADVICE}")
+def as_text(path: Path) -> str:
+    """An archive as a text archive.
+
+    Raises
+    ------
+    FileFormatError
+        A binary or damaged archive, or none.
+    """
+    head = read_bytes(path, HEAD)
+    if MAGIC in head and b"\0" in head:
+        raise FileFormatError(path, f"is a binary archive, which says nothing of what its bytes mean; {ADVICE}")
+    text = read_text(path)
+    if b"boost_serialization" in head:
+        return _from_xml(path, text)
+    if MAGIC not in head:
+        raise FileFormatError(path, f"expected a text archive of gtsam.Values; {ADVICE}")
+    return text
+
+
+def _from_xml(path: Path, text: str) -> str:
+    try:
+        root = ElementTree.fromstring(text)
+    except ElementTree.ParseError as error:
+        raise FileFormatError(path, f"is a damaged or cut-off XML archive ({error}); {ADVICE}") from None
+    tokens = [str(len(MAGIC)), MAGIC.decode(), root.get("version", "")]
+    for element in root:
+        _add_tokens(element, tokens)
+    return " ".join(tokens) + "\n"
+
+
+def _add_tokens(element: ElementTree.Element, tokens: list[str]) -> None:
+    """What a text archive writes for an element: its class where a pointer names it, tracking, version, identity."""
+    named = element.get("class_name")
+    if named is not None:
+        tokens += [element.get("class_id", ""), str(len(named)), named]
+    elif element.get("class_id") == "-1":  # a null pointer
+        tokens.append("-1")
+    for attribute in ("class_id_reference", "tracking_level", "version", "object_id", "object_id_reference"):
+        tokens += [element.get(attribute, "").removeprefix("_")] if attribute in element.attrib else []
+    if len(element) == 0 and element.text and element.text.strip():
+        tokens.append(element.text.strip())
+    for child in element:
+        _add_tokens(child, tokens)
 
 
 def _deserialize(path: Path, text: str, kind: type[Archived]) -> Archived:
