@@ -50,11 +50,9 @@ def quaternion_poses(file: TextFile, table: Table, before: int = 0) -> list[gtsa
     bad = np.flatnonzero(norms < 1e-6)  # nothing but rounding is left of a direction of that size
     if bad.size:
         raise file.error("expected a unit quaternion, got zero", table.lines[bad[0]])
-    poses = []
     positions = table.numbers[:, before : before + 3]
-    for position, (x, y, z, w) in zip(positions, (quaternions / norms).tolist(), strict=True):
-        poses.append(gtsam.Pose3(gtsam.Rot3.Quaternion(w, x, y, z), position))
-    return poses
+    turns = map(gtsam.Rot3.Quaternion, *(quaternions / norms).T[[3, 0, 1, 2]].tolist())
+    return [gtsam.Pose3(turn, position) for turn, position in zip(turns, positions, strict=True)]
 
 
 def euler_poses(numbers: NDArray[np.float64]) -> list[gtsam.Pose3]:

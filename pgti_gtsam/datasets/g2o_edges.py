@@ -47,7 +47,9 @@ def pose_edges(file: TextFile) -> list[Entry]:
         measured = _measured(file, table, lead, size)
         if tag in SENSORS:
             measured, matrices = _between_bodies(file, table, measured, matrices, *SENSORS[tag])
-        entries += between_entries(file, table, measured, information_models(file, table, matrices))
+        models = information_models(file, table, matrices)
+        del matrices  # 288 bytes an edge, the largest part of a large file's memory
+        entries += between_entries(file, table, measured, models)
     return entries
 
 

@@ -72,6 +72,8 @@ def information(
             file.notes.append(f"unit information assumed: {len(numbers)} {tag} lines hold none")
         return np.tile(np.eye(size), (len(numbers), 1, 1))
     matrices = numbers[:, layout[numbers.shape[1]]]
+    if numbers.shape[1] < size * size:
+        return np.asarray(matrices)
     uneven = np.abs(matrices - matrices.transpose(0, 2, 1)).max(axis=(1, 2), initial=0.0)
     bad = np.flatnonzero(uneven > ROUNDING * np.abs(matrices).max(axis=(1, 2), initial=0.0))
     if bad.size:
@@ -102,8 +104,10 @@ def information_models(file: TextFile, table: Table, matrices: NDArray[np.float6
     FileFormatError
         A comment holds half a loss.
     """
-    unique, first, inverse = np.unique(matrices, axis=0, return_index=True, return_inverse=True)
-    inverse = inverse.ravel()
+    places: dict[bytes, int] = {}  # most files repeat a few matrices; np.unique would copy all of them three times
+    inverse = np.array([places.setdefault(matrix.tobytes(), len(places)) for matrix in matrices], np.int64)
+    first = np.unique(inverse, return_index=True)[1]
+    unique = matrices[first]
     indefinite = ~is_semidefinite(unique)
     if indefinite.any():
         count, line = int(indefinite[inverse].sum()), table.lines[first[indefinite].min()]

@@ -182,25 +182,22 @@ def parse_table(file: TextFile, lines: Sequence[Line], *, ids: int, widths: Coll
     widths : collection of int
         How many numbers there may be.
     """
-    width, chunks = None, list[Table]()
+    width, numbers = min(widths, default=0), np.empty((0, 0))
+    identifiers = np.empty((len(lines), ids), np.int64)
     for start in range(0, len(lines), CHUNK):
-        part = lines[start : start + CHUNK]
+        part, end = lines[start : start + CHUNK], min(start + CHUNK, len(lines))
         rows = [line.fields[first:] for line in part]
-        width = _common_width(file, part, rows, ids, {width} if width is not None else set(widths), first)
-        chunks.append(
-            Table(
-                lines=np.array([line.number for line in part], np.int64),
-                ids=np.array(_ids(file, part, [row[:ids] for row in rows]), np.int64).reshape(len(part), ids),
-                numbers=_numbers(file, part, [row[ids:] for row in rows]).reshape(len(part), width),
-            )
+        width = _common_width(file, part, rows, ids, {width} if start else set(widths), first)
+        if not start:
+            numbers = np.empty((len(lines), width))
+        identifiers[start:end] = np.array(_ids(file, part, [row[:ids] for row in rows]), np.int64).reshape(
+            len(part), ids
         )
-    if not chunks:
-        shape = min(widths, default=0)
-        return Table(lines=np.empty(0, np.int64), ids=np.empty((0, ids), np.int64), numbers=np.empty((0, shape)))
+        numbers[start:end] = _numbers(file, part, [row[ids:] for row in rows]).reshape(len(part), width)
     return Table(
-        lines=np.concatenate([chunk.lines for chunk in chunks]),
-        ids=np.concatenate([chunk.ids for chunk in chunks]),
-        numbers=np.concatenate([chunk.numbers for chunk in chunks]),
+        lines=np.fromiter((line.number for line in lines), np.int64, count=len(lines)),
+        ids=identifiers,
+        numbers=numbers.reshape(len(lines), width),
     )
 
 
@@ -236,7 +233,7 @@ def _numbers(file: TextFile, lines: Sequence[Line], rows: Sequence[list[str]]) -
     """Finite numbers up to 1e30; what Python alone takes for one (``1_0``) is refused."""
     try:
         numbers = np.fromiter(map(float, chain.from_iterable(rows)), np.float64)
-        if (np.abs(numbers) <= LARGEST).all() and not any("_" in word for row in rows for word in row):
+        if (np.abs(numbers) <= LARGEST).all() and "_" not in " ".join(chain.from_iterable(rows)):
             return numbers
     except ValueError:
         pass
