@@ -210,7 +210,7 @@ def _write_gated(dataset: Dataset, gated: GatedGraph, out: Path | None, out_valu
     if dataset.format == gtsam_archive.NAME:
         gtsam_archive.write_archive(gated.graph, out)
         return {}
-    written = write_g2o(gated.graph, gated.values, out)
+    written = write_g2o(gated.graph, gated.values, out, names=dataset.names)
     own = {
         "keys, which comments at its end name instead": len(written.renumbered),
         "radii, which g2o has no word for": len(dataset.radii or ()),

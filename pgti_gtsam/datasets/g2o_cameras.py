@@ -111,7 +111,7 @@ def _fits_better_inverted(file: TextFile, poses: dict[int, gtsam.Pose3], scales:
         for (i, j), pose in zip(table.ids.tolist(), _measured(file, table, name, scales), strict=True):
             if i in poses and j in poses:
                 as_written += _misfit(pose, poses[i].between(poses[j]))
-                inverted += _misfit(pose, poses[j].between(poses[i]).inverse())
+                inverted += _misfit(pose, poses[j] * poses[i].inverse())
     return inverted < as_written
 
 

@@ -65,7 +65,13 @@ class _Edge(NamedTuple):
     loss: list[str]
 
 
-def write_g2o(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, path: Path | str) -> Written:
+def write_g2o(
+    graph: gtsam.NonlinearFactorGraph,
+    values: gtsam.Values,
+    path: Path | str,
+    *,
+    names: Mapping[int, str] | None = None,
+) -> Written:
     """Write poses, landmarks and factors as g2o text.
 
     Numbers are written with all their digits: a graph that `datasets.read` read from a text file comes back with
@@ -79,6 +85,9 @@ def write_g2o(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, path: Pat
     values : gtsam.Values
         Written are its poses, the landmarks that are sighted, and points that no factor refers to.
     path : Path or str
+    names : mapping of int to str, optional
+        Numbers that variables have in the file they come from, by key (`Dataset.names`): they keep them, as symbols
+        of several robots have to.
 
     Raises
     ------
@@ -93,14 +102,15 @@ def write_g2o(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, path: Pat
     _check_known(edges, {*poses, *points})
     if lost := values.size() - len(poses) - len(points):
         unwritten["variables that are no poses or sighted landmarks"] = lost
-    numbers = _numbers(list(poses), list(points))
+    kept = _kept_numbers([*poses, *points], names or {})
+    numbers = kept or _numbers(list(poses), list(points))
     lines = [f"PARAMS_SE3OFFSET {SENSOR} 0 0 0 0 0 0 1"] if any(edge.parameters for edge in edges) else []
     lines += [_vertex(key, pose, numbers[key], is_pose=True) for key, pose in poses.items()]
     lines += [_vertex(key, point, numbers[key], is_pose=False) for key, point in points.items()]
     for edge in edges:
         lines += _edge_lines(edge, numbers)
-    renumbered = [key for key in poses if numbers[key] != key]
-    renumbered += [key for key in points if landmark_key(numbers[key]) != key]
+    renumbered = [] if kept else [key for key in poses if numbers[key] != key]
+    renumbered += [] if kept else [key for key in points if landmark_key(numbers[key]) != key]
     lines += [f"# {numbers[key]} is {key_label(key)}" for key in renumbered]  # other readers stumble over it earlier
     Path(path).write_text("\n".join(lines) + "\n", encoding="utf-8")
     return Written(numbers=numbers, renumbered=tuple(renumbered), unwritten=dict(unwritten))
@@ -202,6 +212,13 @@ def _check_known(edges: Iterable[_Edge], known: Collection[int]) -> None:
         raise MissingValueError(
             f"expected a value for every key, got none for {key_label(missing)}; add it or remove its factors"
         )
+
+
+def _kept_numbers(keys: Collection[int], names: Mapping[int, str]) -> dict[int, int] | None:
+    """The numbers that all variables had, if each had one."""
+    if not names or not all(names.get(key, "").lstrip("-").isdecimal() for key in keys):
+        return None
+    return {key: int(names[key]) for key in keys}
 
 
 def _numbers(poses: list[int], points: list[int]) -> dict[int, int]:

@@ -43,6 +43,12 @@ def landmark_key(identifier: int) -> int:
     return int(gtsam.symbol("m" if identifier < 0 else "l", abs(identifier)))
 
 
+def landmark_identifier(key: int) -> int:
+    """The identifier whose `landmark_key` is ``key``."""
+    letter, index = chr(key >> 56), key & ((1 << 56) - 1)
+    return {"l": index, "m": -index}.get(letter, key)
+
+
 def planar_jacobian(points: NDArray[np.float64]) -> NDArray[np.float64]:
     """∂(x, y)/∂(bearing, range) at points (n, 2) away from the origin, (n, 2, 2)."""
     ranges = np.linalg.norm(points, axis=1, keepdims=True)

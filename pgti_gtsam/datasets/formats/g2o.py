@@ -19,12 +19,13 @@ from dataclasses import replace
 import gtsam
 
 from pgti_gtsam.datasets.assembly import Entry, assemble, planar_poses, quaternion_poses
-from pgti_gtsam.datasets.chain import Pose
+from pgti_gtsam.datasets.chain import LETTER, Pose, poses_of
 from pgti_gtsam.datasets.dataset import Dataset
 from pgti_gtsam.datasets.formats import toro
 from pgti_gtsam.datasets.g2o_cameras import CAMERA_TAGS, camera_edges, camera_poses
 from pgti_gtsam.datasets.g2o_edges import EDGES, pose_edges
 from pgti_gtsam.datasets.g2o_landmarks import LANDMARK_TAGS, SIGHTING_TAGS, landmarks, points, without_tags
+from pgti_gtsam.datasets.landmarks import landmark_identifier
 from pgti_gtsam.datasets.noise import POINT_3, information, information_models
 from pgti_gtsam.datasets.source import Format, Source
 from pgti_gtsam.datasets.text import TextFile, by_identifier, note_ignored
@@ -57,7 +58,7 @@ def parse(source: Source) -> Dataset:
     sightings = [*landmarks(file), *toro.sightings(file), *tagged.sightings]
 
     _remark(file)
-    return assemble(
+    dataset = assemble(
         file,
         format=NAME,
         poses=tagged.poses,
@@ -66,6 +67,7 @@ def parse(source: Source) -> Dataset:
         sightings=sightings,
         known=QUIET,
     )
+    return replace(dataset, names=_names(dataset, file.shift))
 
 
 def _poses(file: TextFile) -> dict[int, Pose]:
@@ -83,6 +85,16 @@ def _positions(file: TextFile) -> list[Entry]:
     models = information_models(file, table, information(file, table, table.numbers[:, 3:], POINT_3, POSITION))
     rows = zip(table.lines.tolist(), table.ids[:, 0].tolist(), table.numbers[:, :3], models, strict=True)
     return [Entry(line, (key,), gtsam.GPSFactor(key, position, model)) for line, key, position, model in rows]
+
+
+def _names(dataset: Dataset, shift: int) -> dict[int, str]:
+    """Identifiers by key, where those of poses are not the numbers that keys would be taken for."""
+    poses = poses_of(dataset.values)
+    if not shift and max(poses, default=0) >> LETTER == 0:
+        return {}
+    points = set(dataset.values.keys()) - poses.keys()
+    named = {key: str(key - shift) for key in poses}
+    return named | {key: str(landmark_identifier(key)) for key in points}
 
 
 def _without_negative_ids(file: TextFile) -> TextFile:
