@@ -10,6 +10,7 @@ import pytest
 from gtsam.symbol_shorthand import X
 
 from pgti_gtsam import cli, datasets
+from pgti_gtsam.datasets import formats
 
 SQUARE = """VERTEX_SE2 0 0 0 0
 VERTEX_SE2 1 5 0 1.57
@@ -118,6 +119,30 @@ def test_an_archived_graph_gives_what_the_library_gives(run, tmp_path):
     command = ("audit", tmp_path / "graph.txt", "--values", tmp_path / "values.txt", "--radius", 0.51, "--json", found)
     assert run(*command)[0] == 0
     assert json.loads(found.read_text())["edges"]["collisions"] == [[0, 5]]
+
+
+def test_lines_that_are_left_out_on_request_are_in_the_headline(run, square):
+    square.write_text(SQUARE + "EDGE_SE2_FANCY 0 4 1 2 3\n" * 785)
+    code, out, err = run("audit", square, "--radius", 0.3)
+    assert (code, out) == (2, "")
+    assert "785 'EDGE_SE2_FANCY' tie two poses" in err
+    code, out, _ = run("audit", square, "--radius", 0.3, "--ignore-unknown")
+    assert code == 0
+    assert out.startswith("square without 785 unknown edges: ")
+
+
+def test_notes_on_what_was_read_come_with_a_later_error(run, square):
+    square.write_text(SQUARE + "EDGE_PRIOR_FANCY 0 1 2 3\n")
+    code, _, err = run("audit", square)
+    assert code == 2
+    assert "--radius" in err.splitlines()[0]
+    assert "  note: ignored lines: 1 'EDGE_PRIOR_FANCY'" in err.splitlines()
+
+
+def test_help_names_every_format_of_the_list(run):
+    _, out, _ = run("audit", "--help")
+    said = "".join(out.split())
+    assert all("".join(format.name.split()) in said for format in formats.FORMATS)
 
 
 SCRIPT = "<script>alert(1)</script>"

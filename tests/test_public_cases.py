@@ -43,6 +43,10 @@ REFUSED = {
     "c04_comma_decimals.g2o": "decimal comma; write the file with LC_NUMERIC=C",
     "c12_duplicate_vertex.g2o": "line 17: VERTEX_SE2 0 is defined a second time",
     "c15_edge_to_missing_vertex.g2o": "line 17: vertex 8 has no vertex line",
+    "c42_glim_graph.txt": "looks like a dump of GLIM",
+    "c43_glim_graph.bin": "is a binary archive",
+    "c44_rtabmap.db": "is no database of RTAB-Map, or a damaged one",
+    "c46_bal.txt": "expected 2 observations, then 21 numbers",
     "c45_map.pbstream": "looks like a Cartographer state",
     "c47_pose_labels.csv": "looks like a table with commas",
     "c50_nan_vertex.g2o": "line 8: expected a finite number, got 'nan'",
@@ -156,6 +160,36 @@ def test_a_point_that_nothing_sights_is_in_nobodys_way(run, audited):
 def test_vertices_alone_are_a_trajectory(audited):
     document = audited("c74_vertices_only.g2o")
     assert (document["summary"]["n_keyframes"], document["adaptation"]["edges"]["between"]) == (8, 7)
+
+
+def test_a_second_session_is_tied_by_what_may_be_judged(run):
+    name = "c61_second_session_tied_by_one_closure_at_its_first_keyframe.g2o"
+    code, out, _ = run("gate", CASES / name, "--radius", 0.5)
+    assert code == 0
+    assert "2 pass, 0 do not" in out
+
+
+def test_information_without_heading_is_told_in_words(run):
+    dataset = datasets.read(CASES / "c67_rank_deficient_information.g2o")
+    assert any("information says nothing of heading: 8 edges (first: edge line 9)" in note for note in dataset.notes)
+    code, _, err = run("gate", CASES / "c67_rank_deficient_information.g2o", "--radius", 0.5, "--every", 2)
+    assert code == 2
+    assert "odometry from 0 to 1 says nothing in some direction" in err
+    assert "keep every pose" in err
+
+
+def test_poses_that_landmarks_alone_tie_are_told():
+    assert "no edge ties two poses: landmarks alone do" in datasets.read(CASES / "c26_only_sightings.g2o").notes
+
+
+@pytest.mark.parametrize(
+    ("name", "keyframes", "between"),
+    [("c24.pyfg", 8, 8), ("c40.tum", 8, 7), ("c41_kitti_poses.txt", 8, 7), ("c51_isam.txt", 8, 8)],
+)
+def test_other_formats_are_read(audited, name, keyframes, between):
+    document = audited(name)
+    assert (document["summary"]["n_keyframes"], document["adaptation"]["edges"]["between"]) == (keyframes, between)
+    assert document["summary"]["score"] == pytest.approx(0.0, abs=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -147,6 +147,9 @@ def assemble(
         graph.push_back(factor)
     betweens = between_factors(graph)
 
+    if sightings and not betweens:
+        file.notes.append("no edge ties two poses: landmarks alone do")
+
     # a value for every variable
     _refuse_mixture(file, [*poses.values(), *(b.factor.measured() for b in betweens)], sightings, points or {})
     placed = poses or _place_poses(file, named, betweens)

@@ -47,10 +47,21 @@ def pose_edges(file: TextFile) -> list[Entry]:
         measured = _measured(file, table, lead, size)
         if tag in SENSORS:
             measured, matrices = _between_bodies(file, table, measured, matrices, *SENSORS[tag])
+        _note_headless(file, table, matrices, size)
         models = information_models(file, table, matrices)
         del matrices  # 288 bytes an edge, the largest part of a large file's memory
         entries += between_entries(file, table, measured, models)
     return entries
+
+
+def _note_headless(file: TextFile, table: Table, matrices: NDArray[np.float64], size: int) -> None:
+    """Note the edges that measure a position alone: their odometry cannot be composed, nor fix a map."""
+    turns = matrices[:, 2:, 2:] if size == 3 else matrices[:, :3, :3]
+    headless = (turns == 0.0).all(axis=(1, 2)) & (matrices != 0.0).any(axis=(1, 2))
+    if headless.any():
+        what = "heading" if size == 3 else "rotation"
+        first = table.lines[np.flatnonzero(headless)[0]]
+        file.notes.append(f"information says nothing of {what}: {headless.sum()} edges (first: edge line {first})")
 
 
 def _measured(file: TextFile, table: Table, lead: int, size: int) -> Sequence[Pose]:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from pgti_gtsam.datasets.chain import Between, Pose, odometry_factors, odometry_links, poses_of
 from pgti_gtsam.datasets.dataset import Dataset
 from pgti_gtsam.errors import InvalidGraphError, InvalidOptionError
+from pgti_gtsam.pose_graph import key_label
 
 
 class Step(NamedTuple):
@@ -103,7 +104,8 @@ def _step(link: Between, key: int) -> Step:
     gaussian: Any = model.noise() if isinstance(model, gtsam.noiseModel.Robust) else model
     information = np.asarray(gaussian.information())
     if not np.isfinite(information).all() or np.linalg.matrix_rank(information) < len(information):
-        message = f"odometry in slot {link.slot} has a singular noise model: its uncertainty cannot be composed"
+        ends = f"{key_label(link.first)} to {key_label(link.second)}"
+        message = f"odometry from {ends} says nothing in some direction, so steps cannot be composed; keep every pose"
         raise InvalidGraphError(message)
     measured, covariance = link.factor.measured(), np.linalg.inv(information)
     if key == link.first:
