@@ -66,6 +66,24 @@ CARMEN = "PARAM robot_frontlaser_offset 0.0 nohost 0\n" + "".join(
     f"FLASER 3 {1 + 0.1 * i:.2f} 50.00 2.00 {0.2 * i:.2f} 0 0 {0.2 * i:.2f} 0 0 {10 + i}.0 nohost {i}.0\n"
     for i in range(30)
 )
+CAMERAS = """\
+VERTEX_SE3:EXPMAP 0 0 0 0 0 0 0 1
+VERTEX_SE3:EXPMAP 1 1 0 0 0 0 0 1
+VERTEX_SIM3:QUAT 2 2 0 0 0 0 0 1 1.5
+EDGE_SE3:EXPMAP 0 1 1 0 0 0 0 0 1
+EDGE_SIM3:QUAT 1 2 1 0 0 0 0 0 1 1.5
+"""
+PYFG = """\
+VERTEX_SE2 0.0 A0 0 0 0
+VERTEX_SE2 1.0 A1 2 0 0
+VERTEX_XY L0 2 2
+EDGE_SE2 1.0 A0 A1 2 0 0 0.04 0 0 0.09 0 0.01
+EDGE_SE2_XY 1.0 A1 L0 0 2 0.04 0 0.09
+EDGE_RANGE 1.0 A0 L0 2.8284271247461903 0.25
+"""
+TUM = "".join(f"{10.5 + i} {i} 0 0 0 0 0 1\n" for i in range(4))
+KITTI = "".join(f"1 0 0 {i} 0 1 0 0 0 0 1 0\n" for i in range(4))
+BAL = "2 1 2\n0 0 1.5 2.5\n1 0 1.5 2.5\n" + "0 0 0 0 0 0 500 0 0\n0 0 0 1 0 0 500 0 0\n" + "0.5 0 -4\n"
 TEXTS = {
     "g2o": G2O,
     "g2o in space": G2O_3D,
@@ -75,6 +93,11 @@ TEXTS = {
     "Victoria Park": VICTORIA,
     "FLIRTLib": FLIRTLIB,
     "CARMEN": CARMEN,
+    "cameras": CAMERAS,
+    "PyFG": PYFG,
+    "TUM": TUM,
+    "KITTI": KITTI,
+    "BAL": BAL,
 }
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from small_files import CARMEN, CHAIN, FLIRTLIB, G2O, TEXTS, TORO, VICTORIA, read_text
+from small_files import BAL, CARMEN, CHAIN, FLIRTLIB, G2O, KITTI, PYFG, TEXTS, TORO, TUM, VICTORIA, read_text
 
 from pgti_gtsam import datasets
 from pgti_gtsam.datasets import formats
@@ -22,6 +22,10 @@ from pgti_gtsam.errors import FileFormatError, InvalidOptionError, PgtiError
         (VICTORIA, "Victoria Park"),
         (FLIRTLIB, "FLIRTLib scan graph"),
         (CARMEN, "CARMEN log"),
+        (PYFG, "PyFG graph"),
+        (TUM, "TUM trajectory"),
+        (KITTI, "KITTI trajectory"),
+        (BAL, "BAL problem"),
     ],
 )
 @pytest.mark.parametrize("ending", ["g2o", "graph", "log", "nothing"])

@@ -255,6 +255,17 @@ def test_pyfg_holds_covariances_and_names_robots_by_letter(tmp_path):
         datasets.read(tmp_path / "map.pyfg")
 
 
+@pytest.mark.parametrize(("name", "poses", "factors", "landmarks"), [("15", 473, 1258, 3), ("16", 201, 772, 4)])
+def test_the_pyfg_of_the_wheel_is_read_whole(name, poses, factors, landmarks):
+    """CORA's recordings of an underwater vehicle: ranges to beacons, whose variance is that of 0.75 m."""
+    dataset = datasets.read(gtsam.findExampleDataFile(f"goats_{name}.pyfg"))
+    assert len(poses_of(dataset.values)) == poses
+    assert (dataset.graph.size(), dataset.values.size()) == (factors, poses + landmarks)
+    ranges = [dataset.graph.at(slot) for slot in range(factors) if dataset.graph.at(slot).dim() == 1]
+    assert len(ranges) == factors - poses + 1
+    np.testing.assert_allclose([factor.noiseModel().sigmas() for factor in ranges], 0.75)
+
+
 @needs_models
 @pytest.mark.parametrize(
     ("name", "keyframes", "landmarks", "sightings", "score", "inserted"),
