@@ -41,6 +41,27 @@ def test_standard_graphs_agree_with_gtsam(name, poses, factors, closures):
         assert betweens[i].equals(graph.at(i), 1e-9)
 
 
+def test_no_closure_is_lost_where_all_are_switchable(tmp_path):
+    lines, switch = [], 10_000
+    for line in (DATA / "pose_graphs" / "intel.g2o").read_text().splitlines():
+        fields = line.split()
+        if fields[0] == "EDGE_SE2" and abs(int(fields[1]) - int(fields[2])) > 1:
+            switch += 1
+            lines += [f"VERTEX_SWITCH {switch} 1", f"EDGE_SWITCH_PRIOR {switch} 1 1"]
+            fields = ["EDGE_SE2_SWITCHABLE", *fields[1:3], str(switch), *fields[3:]]
+        lines.append(" ".join(fields))
+    (tmp_path / "intel.g2o").write_text("\n".join(lines) + "\n")
+    dataset = datasets.read(tmp_path / "intel.g2o")
+    plain = datasets.read(DATA / "pose_graphs" / "intel.g2o")
+    assert switch == 10_785
+    assert len(dataset.closures) == 785
+    assert sum(b.factor.equals(p.factor, 1e-9) for b, p in zip(*map(_ordered, (dataset, plain)), strict=True)) == 2512
+
+
+def _ordered(dataset):
+    return sorted(between_factors(dataset.graph), key=lambda between: (between.first, between.second))
+
+
 @pytest.mark.parametrize(
     ("name", "poses", "closures", "true"),
     [

@@ -58,7 +58,7 @@ def round_trip(graph, values, folder):
     return written, datasets.read(folder / "written.g2o")
 
 
-@pytest.mark.parametrize("name", TEXTS)
+@pytest.mark.parametrize("name", sorted(TEXTS.keys() - {"PyFG"}))  # whose names are symbols, and so renumbered
 def test_what_a_text_file_holds_comes_back(tmp_path, name):
     dataset = read_text(tmp_path, TEXTS[name])
     written, found = round_trip(dataset.graph, dataset.values, tmp_path)

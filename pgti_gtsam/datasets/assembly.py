@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
-from itertools import pairwise
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from itertools import chain, pairwise
 from operator import itemgetter
 from types import MappingProxyType
 from typing import NamedTuple
@@ -16,6 +16,7 @@ from pgti_gtsam.datasets.chain import Between, Pose, between_factors, closure_sl
 from pgti_gtsam.datasets.dataset import Dataset
 from pgti_gtsam.datasets.landmarks import Sighting
 from pgti_gtsam.datasets.text import Table, TextFile, quote
+from pgti_gtsam.errors import FileFormatError
 from pgti_gtsam.pose_graph import key_label
 
 # Assumed for the steps of a trajectory, which brings no uncertainty: rotation 0.01 rad, translation 0.1 m
@@ -45,14 +46,19 @@ def quaternion_poses(file: TextFile, table: Table, before: int = 0) -> list[gtsa
     FileFormatError
         A quaternion is zero.
     """
+    return list(stream_of_poses(file, table, before))
+
+
+def stream_of_poses(file: TextFile, table: Table, before: int = 0) -> Iterator[gtsam.Pose3]:
+    """The same, one after the other: the edges of a large file need not all be there at once."""
     quaternions = table.numbers[:, before + 3 : before + 7]
     norms = np.linalg.norm(quaternions, axis=1, keepdims=True)
     bad = np.flatnonzero(norms < 1e-6)  # nothing but rounding is left of a direction of that size
     if bad.size:
         raise file.error("expected a unit quaternion, got zero", table.lines[bad[0]])
     positions = table.numbers[:, before : before + 3]
-    turns = map(gtsam.Rot3.Quaternion, *(quaternions / norms).T[[3, 0, 1, 2]].tolist())
-    return [gtsam.Pose3(turn, position) for turn, position in zip(turns, positions, strict=True)]
+    turns = (gtsam.Rot3.Quaternion(w, x, y, z) for x, y, z, w in quaternions / norms)
+    return (gtsam.Pose3(turn, position) for turn, position in zip(turns, positions, strict=True))
 
 
 def euler_poses(numbers: NDArray[np.float64]) -> list[gtsam.Pose3]:
@@ -131,30 +137,33 @@ def assemble(
         No pose, planar and spatial poses in one file, a pose without a vertex where others have one,
         without vertices a pose that no chain of factors reaches, or an unknown line that ties two poses.
     """
-    # every pose that is named, and its place
-    named = [(entry.line, key) for entry in entries for key in entry.poses]
-    named += [(sighting.line, sighting.pose) for sighting in sightings]
-    ignored = _unknown_edges(file, known, {*poses, *(key for _, key in named)})
-    if not named and len(poses) > 1:
+    # every pose that a factor holds
+    held = {key for entry in entries for key in entry.poses} | {sighting.pose for sighting in sightings}
+    ignored = _unknown_edges(file, known, held | poses.keys())
+    if not held and len(poses) > 1:
         file.notes.append("the file holds no edge: consecutive poses are tied as a trajectory, with assumed sigmas")
         entries = trajectory_steps(dict(sorted(poses.items())))
-        named = [(0, key) for key in poses]
+        held = set(poses)
 
     # factors in the order of the file
     graph = gtsam.NonlinearFactorGraph()
-    factors = [(entry.line, entry.factor) for entry in entries] + [(s.line, s.factor) for s in sightings]
-    for _, factor in sorted(factors, key=itemgetter(0)):
-        graph.push_back(factor)
+    by_line: list[Entry | Sighting] = [*entries, *sightings]
+    for named in sorted(by_line, key=itemgetter(0)):
+        graph.push_back(named.factor)
     betweens = between_factors(graph)
 
     if sightings and not betweens:
         file.notes.append("no edge ties two poses: landmarks alone do")
 
     # a value for every variable
-    _refuse_mixture(file, [*poses.values(), *(b.factor.measured() for b in betweens)], sightings, points or {})
-    placed = poses or _place_poses(file, named, betweens)
-    _refuse_missing(file, named, placed, "has no vertex line although others have one")
-    placed = _with_factors(file, placed, {key for _, key in named})
+    measured = (between.factor.measured() for between in betweens)
+    _refuse_mixture(file, chain(poses.values(), measured), sightings, points or {})
+    placed, why = poses, "has no vertex line although others have one"
+    if not poses:
+        placed, why = _place_poses(file, held, betweens)
+    if not held <= placed.keys():
+        raise _missing(file, entries, sightings, placed, why)
+    placed = _with_factors(file, placed, held)
     landmarks = _nearest_sightings(sightings, placed) | dict(points or {})
     unplaced = next((s for s in sightings if s.landmark not in landmarks), None)
     if unplaced is not None:
@@ -210,23 +219,27 @@ def _refuse_mixture(
         raise file.error("expected either planar or spatial vertices and edges, got both")
 
 
-def _place_poses(file: TextFile, named: Sequence[tuple[int, int]], betweens: Sequence[Between]) -> dict[int, Pose]:
+def _place_poses(file: TextFile, held: Collection[int], betweens: Sequence[Between]) -> tuple[dict[int, Pose], str]:
+    """Poses chained from the factors, and why one may be missing."""
     if not betweens:
         raise file.error("holds no pose and no edge between poses")
-    keys = sorted({key for _, key in named})
+    keys = sorted(held)
     origin = type(betweens[0].factor.measured())()
     placed, closures_used = place_by_factors(keys, betweens, origin)
-    _refuse_missing(file, named, placed, f"has no vertex line, and no chain of edges leads there from {keys[0]}")
     file.notes.append("the file stores no poses: they are chained from the odometry")
     if closures_used:
         file.notes.append(f"the odometry is broken: poses were placed through {closures_used} closures")
-    return placed
+    return placed, f"has no vertex line, and no chain of edges leads there from {keys[0]}"
 
 
-def _refuse_missing(file: TextFile, named: Iterable[tuple[int, int]], poses: Mapping[int, Pose], why: str) -> None:
-    for line, key in sorted(named):
-        if key not in poses:
-            raise file.error(f"vertex {key} {why}", line)
+def _missing(
+    file: TextFile, entries: Iterable[Entry], sightings: Iterable[Sighting], poses: Mapping[int, Pose], why: str
+) -> FileFormatError:
+    """The error about the first line that names a pose which has no place."""
+    named = [(entry.line, key) for entry in entries for key in entry.poses]
+    named += [(sighting.line, sighting.pose) for sighting in sightings]
+    line, key = min((line, key) for line, key in named if key not in poses)
+    return file.error(f"vertex {key} {why}", line)
 
 
 def _nearest_sightings(sightings: Iterable[Sighting], poses: Mapping[int, Pose]) -> dict[int, NDArray[np.float64]]:

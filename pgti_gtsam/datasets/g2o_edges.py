@@ -6,12 +6,12 @@ doi:10.1109/IROS.2012.6385590), ``EDGE_SE3_OFFSET`` the two parameters that say 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pgti_gtsam.datasets.assembly import Entry, between_entries, planar_poses, quaternion_poses
+from pgti_gtsam.datasets.assembly import Entry, between_entries, planar_poses, stream_of_poses
 from pgti_gtsam.datasets.chain import Pose
 from pgti_gtsam.datasets.noise import PLANE, SPACE, information, information_models
 from pgti_gtsam.datasets.text import Table, TextFile, by_identifier
@@ -64,12 +64,12 @@ def _note_headless(file: TextFile, table: Table, matrices: NDArray[np.float64], 
         file.notes.append(f"information says nothing of {what}: {headless.sum()} edges (first: edge line {first})")
 
 
-def _measured(file: TextFile, table: Table, lead: int, size: int) -> Sequence[Pose]:
-    return planar_poses(table.numbers[:, lead:]) if size == 3 else quaternion_poses(file, table, lead)
+def _measured(file: TextFile, table: Table, lead: int, size: int) -> Iterable[Pose]:
+    return planar_poses(table.numbers[:, lead:]) if size == 3 else stream_of_poses(file, table, lead)
 
 
 def _between_bodies(
-    file: TextFile, table: Table, measured: Sequence[Pose], matrices: NDArray[np.float64], tag: str, size: int
+    file: TextFile, table: Table, measured: Iterable[Pose], matrices: NDArray[np.float64], tag: str, size: int
 ) -> tuple[list[Pose], NDArray[np.float64]]:
     """Poses and information of bodies from those of their sensors, whose numbers come first.
 

@@ -14,12 +14,13 @@ the rotation vector, and files that come from iSAM hold the square root of the i
 
 from __future__ import annotations
 
+from collections.abc import Set
 from dataclasses import replace
 
 import gtsam
 
 from pgti_gtsam.datasets.assembly import Entry, assemble, planar_poses, quaternion_poses
-from pgti_gtsam.datasets.chain import LETTER, Pose, poses_of
+from pgti_gtsam.datasets.chain import LETTER, Pose
 from pgti_gtsam.datasets.dataset import Dataset
 from pgti_gtsam.datasets.formats import toro
 from pgti_gtsam.datasets.g2o_cameras import CAMERA_TAGS, camera_edges, camera_poses
@@ -67,7 +68,8 @@ def parse(source: Source) -> Dataset:
         sightings=sightings,
         known=QUIET,
     )
-    return replace(dataset, names=_names(dataset, file.shift))
+    keys = {*tagged.poses, *(key for entry in tagged.entries for key in entry.poses)}
+    return replace(dataset, names=_names(dataset.values, keys, file.shift))
 
 
 def _poses(file: TextFile) -> dict[int, Pose]:
@@ -87,14 +89,12 @@ def _positions(file: TextFile) -> list[Entry]:
     return [Entry(line, (key,), gtsam.GPSFactor(key, position, model)) for line, key, position, model in rows]
 
 
-def _names(dataset: Dataset, shift: int) -> dict[int, str]:
+def _names(values: gtsam.Values, poses: Set[int], shift: int) -> dict[int, str]:
     """Identifiers by key, where those of poses are not the numbers that keys would be taken for."""
-    poses = poses_of(dataset.values)
     if not shift and max(poses, default=0) >> LETTER == 0:
         return {}
-    points = set(dataset.values.keys()) - poses.keys()
-    named = {key: str(key - shift) for key in poses}
-    return named | {key: str(landmark_identifier(key)) for key in points}
+    keys = values.keys()
+    return {key: str(key - shift if key in poses else landmark_identifier(key)) for key in keys}
 
 
 def _without_negative_ids(file: TextFile) -> TextFile:

@@ -9,6 +9,7 @@ number, and so the key of a GTSAM symbol: robots are told by letter.
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import gtsam
 import numpy as np
@@ -21,6 +22,7 @@ from pgti_gtsam.datasets.landmarks import Sighting, sightings
 from pgti_gtsam.datasets.noise import SPACE, UPPER_2, UPPER_3, information_models, inverse_covariances
 from pgti_gtsam.datasets.source import Format, Source
 from pgti_gtsam.datasets.text import Line, Table, TextFile, by_identifier, note_ignored, parse_table
+from pgti_gtsam.pose_graph import key_label
 
 NAME = "PyFG graph"
 VERTICES = {"VERTEX_SE2": 3, "VERTEX_SE3:QUAT": 7}
@@ -52,9 +54,10 @@ def parse(source: Source) -> Dataset:
         points |= by_identifier(file, tag, table, table.numbers, points)
     entries, seen = _edges(file), [*_sightings(file), *_ranges(file, poses)]
     note_ignored(file, TAGS)
-    return assemble(
+    dataset = assemble(
         file, format=NAME, poses=poses, points=points, entries=entries, sightings=seen, known={*TAGS, *file.tags}
     )
+    return replace(dataset, names={key: key_label(key) for key in dataset.values.keys()})  # noqa: SIM118  no mapping
 
 
 def _edges(file: TextFile) -> list[Entry]:
