@@ -1,8 +1,10 @@
 """g2o dialects, sessions and identifiers: laws that need no file beside the checkout."""
 
 import gzip
+import subprocess
 import sys
 from itertools import pairwise
+from pathlib import Path
 
 import gtsam
 import numpy as np
@@ -220,7 +222,32 @@ def test_one_map_needs_several_files_and_several_files_the_word(tmp_path, monkey
     assert "--one-map" in capsys.readouterr().err
 
 
-# Traps
+# Large files and traps
+
+LARGE = """
+import sys
+from pathlib import Path
+from pgti_gtsam import datasets
+path = Path(sys.argv[1])
+peak = lambda: int(Path("/proc/self/status").read_text().split("VmHWM:")[1].split()[0])
+before = peak()
+datasets.read(path)
+print((peak() - before) * 1024 / path.stat().st_size)
+"""
+
+
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="the peak of memory is asked of Linux")
+def test_a_large_graph_takes_less_memory_than_ten_times_its_file(tmp_path):
+    rng = np.random.default_rng(0)
+    n, triangle = 50_000, " ".join(f"{x:.6f}" for x in np.diag([1e2, 1e2, 1e2, 4e2, 4e2, 4e2])[np.triu_indices(6)])
+    drawn = rng.normal(size=(n, 3))
+    with (tmp_path / "large.g2o").open("w") as file:
+        for i, (x, y, z) in enumerate(drawn):
+            file.write(f"VERTEX_SE3:QUAT {i} {x:.6f} {y:.6f} {z:.6f} 0.000000 0.000000 0.099833 0.995004\n")
+        for i, (x, y, z) in enumerate(drawn[1:]):
+            file.write(f"EDGE_SE3:QUAT {i} {i + 1} {x:.6f} {y:.6f} {z:.6f} 0.0 0.0 0.0 1.0 {triangle}\n")
+    ran = subprocess.run([sys.executable, "-c", LARGE, tmp_path / "large.g2o"], capture_output=True, check=True)
+    assert float(ran.stdout) < 10.0
 
 
 def test_what_unpacks_to_more_than_any_map_is_refused(tmp_path):
