@@ -276,6 +276,14 @@ def test_what_cannot_be_read_is_known_by_its_first_bytes(tmp_path, data, message
         datasets.read(path)
 
 
+@pytest.mark.parametrize(("ending", "program"), [("osa", "ORB-SLAM3"), ("posegraph", "slam_toolbox")])
+def test_boost_archives_of_other_programs_are_known_by_their_ending(tmp_path, ending, program):
+    path = tmp_path / f"map.{ending}"
+    path.write_bytes(b"\x16\0\0\0\0\0\0\0serialization::archive\x13\0\x04\x08")
+    with pytest.raises(FileFormatError, match=rf"looks like .* of {program}.* not read"):
+        datasets.read(path)
+
+
 def test_empty_labels_mean_that_no_loop_is_true(tmp_path):
     (tmp_path / "map_GT_LC.txt").write_text("")
     dataset = read_text(tmp_path, VERTICES + CHAIN + f"EDGE_SE2 3 0 -3 0 0 {UPPER_2D}\n", "map.g2o")

@@ -7,9 +7,13 @@ from typing import NamedTuple, NoReturn
 from pgti_gtsam.datasets.source import Source
 from pgti_gtsam.datasets.text import TextFile, is_number, quote
 
-BESIDE = "; expected the VO_stereo_factors file beside it"
-TABLES = {6: "looks like KITTI calibration" + BESIDE, 17: "looks like KITTI camera poses" + BESIDE}
 LOOPS = "and their loop closures as a list for --loops"
+BESIDE = "; expected the VO_stereo_factors file beside it"
+ENDINGS = {  # Boost archives name no class in their first bytes
+    ".osa": "an atlas of ORB-SLAM3 (.osa), which is not read; call SaveKeyFrameTrajectoryTUM",
+    ".posegraph": "a pose graph of slam_toolbox (.posegraph), which is not read; write its poses as TUM, " + LOOPS,
+}
+TABLES = {6: "looks like KITTI calibration" + BESIDE, 17: "looks like KITTI camera poses" + BESIDE}
 
 
 class Foreign(NamedTuple):
@@ -34,8 +38,6 @@ FOREIGN = (
         "an MRPT simple map (.simplemap)",
         "run `sm-cli export-keyframes` of MOLA, which writes a TUM trajectory",
     ),
-    Foreign(b"karto", False, "a pose graph of slam_toolbox (.posegraph)", "write its poses as TUM, " + LOOPS),
-    Foreign(b"ORB_SLAM3", False, "an atlas of ORB-SLAM3 (.osa)", "call SaveKeyFrameTrajectoryTUM"),
     Foreign(b"#ROSBAG", True, "a ROS bag", "run the SLAM program on it and give its map"),
     Foreign(b"\x89MCAP0", True, "an MCAP recording", "run the SLAM program on it and give its map"),
     Foreign(b"# .PCD", True, "a point cloud (PCD)", "give the pose graph here, and the cloud as --cloud"),
@@ -60,11 +62,11 @@ def refuse(source: Source) -> NoReturn:
     """
     if source.is_folder:
         raise source.error("is a directory that holds no map; name the file in it")
+    if source.path.suffix in ENDINGS:
+        raise source.error(f"looks like {ENDINGS[source.path.suffix]}")
     for foreign in FOREIGN:
         if source.head.startswith(foreign.signature) if foreign.at_start else foreign.signature in source.head:
             raise source.error(f"looks like {foreign.name}, which is not read; {foreign.advice}")
-    if source.path.suffix == ".osa":
-        raise source.error("looks like an atlas of ORB-SLAM3 (.osa), which is not read; call SaveKeyFrameTrajectoryTUM")
     raise source.error(_text(source.file) if source.is_text else "is binary, of no format that is read")
 
 

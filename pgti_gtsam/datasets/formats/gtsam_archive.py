@@ -17,6 +17,7 @@ import gtsam
 
 from pgti_gtsam.datasets.chain import between_factors, closure_slots, poses_of
 from pgti_gtsam.datasets.dataset import Dataset
+from pgti_gtsam.datasets.foreign import ENDINGS
 from pgti_gtsam.datasets.source import Format, Source, read_bytes, read_text
 from pgti_gtsam.errors import FileFormatError
 
@@ -35,7 +36,8 @@ Archived = TypeVar("Archived", gtsam.NonlinearFactorGraph, gtsam.Values)
 
 def _recognises(source: Source) -> bool:
     """Whether the source starts as a boost archive does."""
-    return MAGIC in source.head[:HEAD] or b"boost_serialization" in source.head[:HEAD]
+    is_boost = MAGIC in source.head[:HEAD] or b"boost_serialization" in source.head[:HEAD]
+    return is_boost and source.path.suffix not in ENDINGS
 
 
 def parse(source: Source) -> Dataset:
