@@ -250,6 +250,10 @@ def test_pyfg_holds_covariances_and_names_robots_by_letter(tmp_path):
         [gtsam.symbol("A", 1), gtsam.symbol("B", 0)]
     ]
     assert any("1 ranges between two poses are left out" in note for note in dataset.notes)
+    (tmp_path / "map.pyfg").write_text(PYFG + "EDGE_FANCY 1.0 A0 B1 3\n")
+    with pytest.raises(FileFormatError, match=r"line 11: 'EDGE_FANCY' is not known.*--ignore-unknown"):
+        datasets.read(tmp_path / "map.pyfg")
+    assert datasets.read(tmp_path / "map.pyfg", ignore_unknown=True).ignored_edges == 1
     (tmp_path / "map.pyfg").write_text(PYFG.replace("A0 A1", "A0 first"))
     with pytest.raises(FileFormatError, match="line 6: expected a name of a letter and a number"):
         datasets.read(tmp_path / "map.pyfg")

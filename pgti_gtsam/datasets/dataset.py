@@ -13,8 +13,9 @@ class Dataset:
     """A factor graph read from a file.
 
     Pose ``k`` of a text file has the key ``k``, its landmark ``k`` the key ``gtsam.symbol("l", k)``: the
-    two may be numbered alike. Stereo files name their poses ``gtsam.symbol("x", k)``. No reader adds a
-    prior: the graph holds what the file says.
+    two may be numbered alike. What is a symbol in the file keeps its key; where poses have negative numbers
+    all are moved up (`names` says what the file calls them). Stereo files name their poses
+    ``gtsam.symbol("x", k)``. No reader adds a prior: the graph holds what the file says.
 
     Attributes
     ----------

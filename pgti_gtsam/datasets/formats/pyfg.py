@@ -21,7 +21,7 @@ from pgti_gtsam.datasets.dataset import Dataset
 from pgti_gtsam.datasets.landmarks import Sighting, sightings
 from pgti_gtsam.datasets.noise import SPACE, UPPER_2, UPPER_3, information_models, inverse_covariances
 from pgti_gtsam.datasets.source import Format, Source
-from pgti_gtsam.datasets.text import Line, Table, TextFile, by_identifier, note_ignored, parse_table
+from pgti_gtsam.datasets.text import Line, Table, TextFile, by_identifier, note_ignored, parse_table, quote
 from pgti_gtsam.pose_graph import key_label
 
 NAME = "PyFG graph"
@@ -53,11 +53,21 @@ def parse(source: Source) -> Dataset:
         table = _table(file, tag, names=1, width=width, timed=False)
         points |= by_identifier(file, tag, table, table.numbers, points)
     entries, seen = _edges(file), [*_sightings(file), *_ranges(file, poses)]
+    ignored = _unknown_edges(file)
     note_ignored(file, TAGS)
     dataset = assemble(
         file, format=NAME, poses=poses, points=points, entries=entries, sightings=seen, known={*TAGS, *file.tags}
     )
-    return replace(dataset, names={key: key_label(key) for key in dataset.values.keys()})  # noqa: SIM118  no mapping
+    return replace(dataset, ignored_edges=ignored, names={key: key_label(key) for key in dataset.values.keys()})  # noqa: SIM118  no mapping
+
+
+def _unknown_edges(file: TextFile) -> int:
+    """Edges of unknown tags: refused, or counted where that is asked for."""
+    unknown = [line for tag in file.tags.keys() - TAGS if "EDGE" in tag for line in file.tags[tag]]
+    if unknown and not file.ignore_unknown:
+        tags = ", ".join(sorted({quote(line.fields[0]) for line in unknown}))
+        raise file.error(f"{tags} is not known; leave such edges out with --ignore-unknown", unknown[0].number)
+    return len(unknown)
 
 
 def _edges(file: TextFile) -> list[Entry]:

@@ -32,7 +32,8 @@ NAME = "RTAB-Map database"
 MAGIC = b"SQLite format 3\0"
 ODOMETRY, LANDMARK = (0, 6), 8  # neighbour and merged neighbour; 8 leads to a tag
 CLOSURES = {1: "global closures", 2: "closures local in space", 3: "closures local in time", 4: "closures by the user"}
-LEFT_OUT = {5: "virtual links left out"}
+KINDS = {0: "neighbours", 6: "merged neighbours", 8: "sightings of tags", 5: "virtual links left out", **CLOSURES}
+UNKNOWN = "links of an unknown type left out"
 UNARY = "SELECT COUNT(*) FROM Link WHERE from_id = to_id"
 MOST_BYTES = 1 << 28  # of inflated poses: 48 for each
 LETTERS = ascii_lowercase.replace("l", "")
@@ -63,11 +64,10 @@ def parse(source: Source) -> Dataset:
             links = _links(database, poses)
             unary = database.execute(UNARY).fetchone()[0]
     except (sqlite3.Error, ValueError, zlib.error) as error:
-        message = f"is no database of RTAB-Map, or a damaged one ({error}); expected the tables Node and Link"
-        raise source.error(message) from error
+        raise source.error(f"is no database of RTAB-Map, or a damaged one: {error}") from error
     file.notes.extend([f"{unary} pose priors and gravity links left out"] if unary else [])
     counts = Counter(link.type for link in links)
-    file.notes.extend(f"{counts[kind]} {name}" for kind, name in {**CLOSURES, **LEFT_OUT}.items() if counts[kind])
+    file.notes.extend(f"{counts[kind]} {KINDS.get(kind, UNKNOWN)}" for kind in sorted(counts))
     ties, tags = ([link for link in links if link.type in kinds] for kinds in ((*ODOMETRY, *CLOSURES), (LANDMARK,)))
     information = np.array([link.information for link in ties]).reshape(-1, 6, 6)
     models = information_models(file, _table(ties, keys), information)
