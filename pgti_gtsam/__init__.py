@@ -8,7 +8,7 @@ from pgti_gtsam.gate import (
     GatedISAM2,
     GatedUpdate,
     GateOptions,
-    GroupDecision,
+    Judgement,
     LoopClosureGate,
     gate_graph,
 )
@@ -26,8 +26,8 @@ __all__ = [
     "GateOptions",
     "GatedISAM2",
     "GatedUpdate",
-    "GroupDecision",
     "Integrity",
+    "Judgement",
     "LoopClosureGate",
     "PgtiError",
     "Place",

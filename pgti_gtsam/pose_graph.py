@@ -5,11 +5,15 @@ from __future__ import annotations
 import enum
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pgti_gtsam.errors import InvalidGraphError, InvalidValueError, NoPoseError
+
+Radii: TypeAlias = float | Mapping[int, float]
+"""One radius for all keyframes, or one for each key, m."""
 
 
 class EdgeSource(enum.IntFlag):

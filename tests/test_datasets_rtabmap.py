@@ -196,7 +196,7 @@ def test_a_database_is_audited_and_gated_and_its_rejected_links_are_named(run, l
     assert json.loads((tmp_path / "found.json").read_text())["summary"]["n_keyframes"] == 300
     code, out, _ = run("gate", laps, "--radius", 0.5, "--rejected", tmp_path / "rejected.txt")
     assert code == 0, out
-    assert f"{len(TRUE)} pass, {len(FALSE)} do not" in out
+    assert f"{len(TRUE)} accepted, 0 undecided, {len(FALSE)} rejected" in out
     rows = {tuple(map(int, line.split())) for line in (tmp_path / "rejected.txt").read_text().splitlines()}
     assert rows == {(j + 1, i + 1) for i, j in FALSE}
     assert laps.read_bytes() == before

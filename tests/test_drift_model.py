@@ -9,7 +9,7 @@ import pgti_gtsam as pgti
 from pgti_gtsam.gate.drift_model import ANCHOR, drift_model
 from pgti_gtsam.gate.left_out import left_out
 from pgti_gtsam.gate.own_closures import own_closures
-from pgti_gtsam.gate.ties import DRIFT, OFFSET
+from pgti_gtsam.gate.ties import DRIFT, OFFSET, STRETCH
 
 RADIUS = 2.0
 
@@ -39,7 +39,8 @@ def test_a_straight_chain_drifts_as_white_steps_do():
     found = model.settled().covariances(pairs)
     k = np.arange(1, n + 1)
     square = DRIFT**2 * step / model.unit_m
-    np.testing.assert_allclose(found[:, 0, 0], k * square * model.unit_m**2, rtol=1e-6)  # along the way
+    along = k * square * (1 + (STRETCH / DRIFT) ** 2) * model.unit_m**2
+    np.testing.assert_allclose(found[:, 0, 0], along, rtol=1e-6)
     np.testing.assert_allclose(found[:, 2, 2], k * square, rtol=1e-6)  # heading
     across = k * square * model.unit_m**2 + square * step**2 * (k - 1) * k * (2 * k - 1) / 6
     np.testing.assert_allclose(found[:, 1, 1], across, rtol=1e-6)

@@ -7,7 +7,7 @@ from streets import RADIUS, STEP, between, block, driven, ramp, straight, turn
 
 from pgti_gtsam.errors import InvalidClosureError, UnusedValueError
 from pgti_gtsam.gate.batch import gate_graph
-from pgti_gtsam.gate.closure_gate import LoopClosureGate
+from pgti_gtsam.gate.gate import LoopClosureGate
 
 GATE = LoopClosureGate()
 LAP = 4 * 32  # steps around a block of 60 m
@@ -60,8 +60,8 @@ def test_crossing_in_space():
 
 
 # What the gate cannot tell: with the bridge pulled down onto the road, free space is that of a crossing, and over
-# 134 m of way poor odometry may well drift by ten metres, three radii. Only a later closure could contradict it.
-@pytest.mark.parametrize(("height", "accepted"), [(10, True), (20, False), (40, False)])
+# 134 m of way poor odometry may well drift by two metres. A level body's does not drift by ten, three radii.
+@pytest.mark.parametrize(("height", "accepted"), [(2, True), (10, False), (20, False), (40, False)])
 def test_a_bridge_is_no_crossing_unless_drift_may_be_as_high(height, accepted):
     right = turn(-np.pi / 2)
     steps = [*straight(60), *right, *straight(30), *right, *straight(30), *right, *straight(70)]
@@ -108,8 +108,6 @@ def test_a_closure_that_repairs_a_collision_in_a_whole_graph():
     graph.push_back(world.closure(2, len(world.truth) - 3).at(0))
     gated = gate_graph(graph, world.values, RADIUS)
     assert gated.accepted == (graph.size() - 1,)
-    decision = gated.decisions[graph.size() - 1]
-    assert decision.evidence.overlaps.rise < 0
 
 
 def test_a_duplicate_of_odometry_that_closes_nothing(lap):
@@ -118,8 +116,7 @@ def test_a_duplicate_of_odometry_that_closes_nothing(lap):
     closure.push_back(lap.graph.at(7))
     decision = judged(lap, closure)
     assert decision.accepted
-    assert decision.evidence.overlaps.rise == 0
-    assert decision.evidence.bending < 0.1
+    assert decision.terms["drift"].value < 0.1
 
 
 def test_a_closure_twice_in_one(lap):

@@ -15,7 +15,7 @@ from pgti_gtsam.errors import (
     PgtiError,
     UnsolvableGraphError,
 )
-from pgti_gtsam.gate.closure_gate import LoopClosureGate
+from pgti_gtsam.gate.gate import LoopClosureGate
 from pgti_gtsam.gate.isam2 import GatedISAM2
 
 LAP = 4 * 12  # steps around a block of 20 m

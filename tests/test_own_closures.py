@@ -127,7 +127,7 @@ def test_the_closure_that_the_full_optimisation_doubts_most_is_the_least_probabl
     for seed in SEEDS:
         graph, values = drawn(kind, seed, n_true, is_torn=True)
         decisions, alone = leave_one_out(graph, values, RADIUS)
-        worst = max(decisions, key=lambda slot: decisions[slot].doubt)
+        worst = min(decisions, key=lambda slot: decisions[slot].log_odds)
         _, own = judged(graph, values)
         assert not alone
         assert not decisions[worst].accepted

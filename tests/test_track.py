@@ -14,7 +14,7 @@ import pgti_gtsam as pgti
 from pgti_gtsam.errors import InvalidOptionError
 from pgti_gtsam.factor_graphs import graph_of, joined, keys_of, without
 from pgti_gtsam.gate.batch import closure_ends
-from pgti_gtsam.gate.evidence import bridged_overlaps, contacts
+from pgti_gtsam.gate.terms.contact_rise import bridged_overlaps, contacts
 from pgti_gtsam.places import places_on
 from pgti_gtsam.pose_graph import EdgeSource
 from pgti_gtsam.track import closure_edges, track_of

@@ -30,12 +30,9 @@ from pgti_gtsam.cli.options import (
 from pgti_gtsam.datasets import Dataset, write_g2o
 from pgti_gtsam.datasets.formats import gtsam_archive
 from pgti_gtsam.errors import InvalidOptionError
-from pgti_gtsam.gate import ClosureDecision, GatedGraph, GateOptions, LoopClosureGate, gate_graph
+from pgti_gtsam.gate import GatedGraph, GateOptions, LoopClosureGate, gate_graph
 from pgti_gtsam.gate.batch import leave_one_out
-from pgti_gtsam.gate.evidence import Change
-from pgti_gtsam.integrity import assess
-from pgti_gtsam.pose_graph import PoseGraph
-from pgti_gtsam.report.decisions import closures_document, decision_records, worst_first, write_json_lines
+from pgti_gtsam.report.decisions import closures_document, decision_records, least_probable_first, write_json_lines
 from pgti_gtsam.report.document import write_json
 from pgti_gtsam.report.terminal import print_closures, print_decisions, print_heading, print_left_out, print_tally
 
@@ -53,8 +50,10 @@ def gate(
     edges: Edges = None,
     min_shared_landmarks: MinShared = None,
     every: Every = 1,
+    rule: Annotated[str, typer.Option(help="log_odds, or of the paper global_rise or keyframe_rise.")] = "log_odds",
+    min_probability: Annotated[float, typer.Option(help="Accept closures from this probability on.")] = 0.95,
+    scores: Annotated[bool, typer.Option("--scores", help="Show Λ_glob before and after each; slow.")] = False,
     decisions: Annotated[Path | None, typer.Option(help="Write every decision, a JSON object a line.")] = None,
-    scores: Annotated[bool, typer.Option("--scores", help="Add Λ and Λ_glob before and after; slow.")] = False,
     out: Annotated[
         Path | None, typer.Option(help="Write the gated graph: g2o, or an archive where FILE is one.")
     ] = None,
@@ -65,11 +64,9 @@ def gate(
         Path | None, typer.Option(help="Write the closures that fail, a line each: the two identifiers in FILE.")
     ] = None,
 ) -> None:
-    """Judge the loop closures of a graph as they came, and write the graph without those that fail."""
+    """Judge the loop closures of a graph, and write the graph without those that fail."""
     files = MapFiles(files=file, values=values, loops=loops, one_map=one_map, ignore_unknown=ignore_unknown)
     files.check_outputs([decisions, out, out_values, rejected], cloud)
-    if scores and decisions is None:
-        raise InvalidOptionError("expected --decisions PATH with --scores, which adds to it, got --scores alone")
     started = time.perf_counter()
     with counted() as tell:
         tell("reading", 0, 1)
@@ -81,16 +78,11 @@ def gate(
             dataset.values,
             radii,
             closures=dataset.closures if dataset.states_closures else None,
-            gate=_gate(edges, min_shared_landmarks),
+            gate=_gate(edges, min_shared_landmarks, rule=rule, min_probability=min_probability, scores=scores),
             progress=lambda done, of: tell("judging closures", done, of),
         )
-        measured = _scores(gated.decisions, tell) if scores else None
         records = decision_records(
-            gated.decisions,
-            _ends(dataset, gated.decisions),
-            true_closures=dataset.true_closures,
-            evidence=decisions is not None,
-            scores=measured,
+            gated.decisions, _ends(dataset, gated.decisions), true_closures=dataset.true_closures
         )
         unwritten = _write_gated(dataset, gated, out, out_values)
         if decisions is not None:
@@ -98,7 +90,7 @@ def gate(
         if rejected is not None:
             _write_pairs(dataset, gated.rejected, rejected)
     console = Console(highlight=False)
-    print_heading(dataset.title, f"{len(records)} loop closures, each judged when it came", dataset.notes, console)
+    print_heading(dataset.title, f"{len(records)} loop closures, the surest judged first", dataset.notes, console)
     print_decisions(records, console)
     print_tally(records, console, seconds=time.perf_counter() - started)
     print_left_out(unwritten, "the gated graph's file", console)
@@ -120,7 +112,7 @@ def closures(
     every: Every = 1,
     json: Annotated[Path | None, typer.Option(help="Write every closure with its evidence to this JSON file.")] = None,
 ) -> None:
-    """Judge each loop closure of a finished map against the map with all the others, worst first.
+    """Judge each loop closure of a finished map against the map with all the others, least probable first.
 
     A closure is taken out, the map brought to its optimum without it, and the closure offered to the gate.
     False closures that agree vouch for each other here, and many tear the map for all: those are for `gate`.
@@ -159,46 +151,21 @@ def closures(
             write_json(document, json)
     console = Console(highlight=False)
     print_heading(dataset.title, f"{len(records)} loop closures, each against all others", dataset.notes, console)
-    print_closures(worst_first(records), console)
+    print_closures(least_probable_first(records), console)
     print_tally(records, console, seconds=time.perf_counter() - started)
     if alone:
         print_left_out({"closures, on each of which a keyframe hangs alone": len(alone)}, "the judgement", console)
     _print_paths({"JSON": json}, console)
 
 
-def _gate(edges: str | None, min_shared_landmarks: int | None) -> LoopClosureGate:
+def _gate(edges: str | None, min_shared_landmarks: int | None, **options: Any) -> LoopClosureGate:
     shared = MIN_SHARED_LANDMARKS if min_shared_landmarks is None else min_shared_landmarks
-    return LoopClosureGate(options=GateOptions(edges=split_names(edges), min_shared_landmarks=shared))
+    return LoopClosureGate(options=GateOptions(edges=split_names(edges), min_shared_landmarks=shared, **options))
 
 
 def _ends(dataset: Dataset, slots: Any) -> dict[int, list[int]]:
     """Keys of the keyframes of every closure, by slot."""
     return {slot: list(dataset.graph.at(slot).keys()) for slot in slots}
-
-
-def _scores(decisions: Mapping[int, ClosureDecision], tell: Tell) -> dict[int, dict[str, Change]]:
-    """Λ and Λ_glob before and after every closure, by slot.
-
-    Computed here and not by the decisions, which would keep every signature: gigabytes on a long map.
-    """
-    found: dict[int, tuple[float, float]] = {}
-
-    def of(pose_graph: PoseGraph, beta: float) -> tuple[float, float]:
-        if id(pose_graph) not in found:
-            integrity = assess(pose_graph, beta=beta)
-            found[id(pose_graph)] = integrity.score, integrity.split(beta).global_
-        return found[id(pose_graph)]
-
-    changes = {}
-    for done, (slot, decision) in enumerate(decisions.items()):
-        tell("scoring closures", done, len(decisions))
-        maps = (decision.survey.pose_graph, decision.pose_graph)
-        (score, global_), (new_score, new_global) = (of(each, decision.options.beta) for each in maps)
-        changes[slot] = {
-            "score": Change(before=score, after=new_score),
-            "global_score": Change(before=global_, after=new_global),
-        }
-    return changes
 
 
 def _write_gated(dataset: Dataset, gated: GatedGraph, out: Path | None, out_values: Path | None) -> Mapping[str, int]:

@@ -1,24 +1,26 @@
-"""A gate in front of every loop closure: what it changes in units of free space, and the verdict.
+"""A gate in front of every loop closure: how probable it is, by drift and by free space, and the verdict.
 
-`survey` measures a map once; `attempt` tries a candidate on a copy, which `trial` optimises; `yardstick`, `evidence`
-and `rules` weigh what changed; `closure_gate` decides; `revisits`, `past` and `batch` gate whole graphs in time
-order; `isam2` wraps a smoother.
+`ties` and `upright` say what holds a map together, `drift_model` what that predicts of any relative pose, and `terms`
+what a closure's measurement says against it. `candidates` makes ties of closures, `admission` takes the surest first;
+`paper_rule` is the paper's gate on its own. `gate` decides, `batch` gates whole graphs, `isam2` wraps a smoother.
+`left_out` and `own_closures` judge a finished map's closures against each other.
 """
 
 from pgti_gtsam.gate.batch import GatedGraph, gate_graph
-from pgti_gtsam.gate.closure_gate import ClosureDecision, GroupDecision, LoopClosureGate
-from pgti_gtsam.gate.evidence import Evidence
+from pgti_gtsam.gate.decision import Change, ClosureDecision, Term
+from pgti_gtsam.gate.gate import Judgement, LoopClosureGate
 from pgti_gtsam.gate.isam2 import GatedISAM2, GatedUpdate
-from pgti_gtsam.gate.rules import GateOptions
+from pgti_gtsam.gate.options import GateOptions
 
 __all__ = [
+    "Change",
     "ClosureDecision",
-    "Evidence",
     "GateOptions",
     "GatedGraph",
     "GatedISAM2",
     "GatedUpdate",
-    "GroupDecision",
+    "Judgement",
     "LoopClosureGate",
+    "Term",
     "gate_graph",
 ]

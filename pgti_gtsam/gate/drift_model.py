@@ -11,7 +11,7 @@ keyframes is the effective resistance between them.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 from typing import Any
@@ -22,8 +22,7 @@ from numpy.typing import NDArray
 
 from pgti_gtsam.adapter.values import Keyframes, read_keyframes, typed_value
 from pgti_gtsam.errors import UnsolvableGraphError
-from pgti_gtsam.gate.evidence import free_space_unit
-from pgti_gtsam.gate.ties import Ties, adjoints, alike, errors_of, ties_of, variances_of
+from pgti_gtsam.gate.ties import Ties, adjoints, alike, closures_of, errors_of, free_space_unit, ties_of, variances_of
 from pgti_gtsam.gate.trial import optimised
 from pgti_gtsam.gate.upright import chained, upright
 from pgti_gtsam.places import places_on
@@ -81,6 +80,19 @@ class DriftModel:
     held: NDArray[np.bool_]
     along: Array
     levelling: Any
+
+    def extended(self, offered: Sequence[tuple[int, int, Any]]) -> DriftModel:
+        """The same map with more ties that measure poses, as closures numbered from 0: i < j, and j seen from i."""
+        more = closures_of(offered, self.unit_m, self.levelling, is_planar=self.is_planar)
+        mine = self.ties
+        ties = Ties(
+            pairs=np.concatenate([mine.pairs, more.pairs]),
+            measured=mine.measured + more.measured,
+            variances=np.concatenate([mine.variances, more.variances]),
+            slots=np.concatenate([mine.slots, more.slots]),
+            drifts=np.concatenate([mine.drifts, more.drifts]),
+        )
+        return replace(self, ties=ties)
 
     @property
     def is_planar(self) -> bool:
@@ -143,7 +155,7 @@ class DriftModel:
             model=self,
             active=active,
             poses=tuple(poses),
-            component=component,
+            component=self._placed(component),
             residuals=self._residuals(poses, solve(factor, pull)),
             factor=factor,
         )
@@ -157,7 +169,7 @@ class DriftModel:
         for k in np.flatnonzero(active).tolist():
             i, j = self.ties.pairs[k].tolist()
             graph.push_back(between(i, j, self.ties.measured[k], model(self.ties.variances[k])))
-        for i in np.unique(component, return_index=True)[1].tolist():
+        for i in self._fixed(component).tolist():
             graph.push_back(prior(i, start[i], model(self.variances(ANCHOR, ANCHOR))))
         for i, pose in enumerate(start):
             values.insert(i, pose)
@@ -175,11 +187,21 @@ class DriftModel:
         return np.asarray(errors + steps[j] - carried[:, :, 0])
 
     def _anchors(self, component: NDArray[np.int32]) -> Array:
-        """Diagonal blocks of what holds keyframes in the world: the first one of every component, and `held` ones."""
+        """Diagonal blocks of what holds keyframes in the world: one of every part, and `held` ones."""
         information = np.zeros((len(self.poses), len(self.spread), len(self.spread)))
         information[self.held] = np.diag(1 / self.variances(HELD, np.inf))
-        information[np.unique(component, return_index=True)[1]] += np.diag(1 / self.variances(ANCHOR, ANCHOR))
+        information[self._fixed(component)] += np.diag(1 / self.variances(ANCHOR, ANCHOR))
         return information
+
+    def _placed(self, component: NDArray[np.int32]) -> NDArray[np.int32]:
+        """Parts between which something predicts relative poses: those that are held in the world are one."""
+        held = np.isin(component, component[self.held])
+        return np.where(held, -1, component).astype(np.int32)
+
+    def _fixed(self, component: NDArray[np.int32]) -> NDArray[np.int64]:
+        """The keyframe that each part is fixed at: the first one that is held in the world, else the first of all."""
+        order = np.argsort(~self.held, kind="stable")
+        return np.asarray(order[np.unique(component[order], return_index=True)[1]])
 
     def _linearised(
         self, tree: EliminationTree, anchors: Array, active: NDArray[np.bool_], poses: Sequence[Any]

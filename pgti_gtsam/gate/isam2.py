@@ -19,13 +19,12 @@ from pgti_gtsam.factor_graphs import (
     keys_of,
     without,
 )
-from pgti_gtsam.gate.batch import judge_all
-from pgti_gtsam.gate.closure_gate import ClosureDecision, GroupDecision, LoopClosureGate
-from pgti_gtsam.gate.evidence import travelled
-from pgti_gtsam.gate.past import Past
+from pgti_gtsam.gate.decision import ClosureDecision
+from pgti_gtsam.gate.gate import Judgement, LoopClosureGate
 from pgti_gtsam.gate.revisits import revisits
-from pgti_gtsam.gate.survey import Radii
-from pgti_gtsam.gate.trial import optimised
+from pgti_gtsam.gate.ties import free_space_unit
+from pgti_gtsam.pose_graph import Radii
+from pgti_gtsam.track import track_of
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -225,16 +224,15 @@ class GatedISAM2:
         return self._review(decisions)
 
     def review_afresh(self) -> Review:
-        """Judge all closures offered so far once more, as a whole: see `batch.judge_all`.
+        """Judge all closures offered so far once more, as a whole.
 
         Where a wrong closure was admitted early and has shut out right ones elsewhere, no review of one
-        revisit at a time can tell. This one lets the map grow again from the start. Changes nothing.
+        revisit at a time can tell. Changes nothing.
         """
-        estimate, graph = self.estimate(), self._factors_without(range(len(self._offers)))
-        ends, keys = self._ends(), read_keyframes(estimate).keys
-        past = Past.of(graph, optimised(graph, estimate), keys, self.radii)
-        decisions, _ = judge_all(self.gate, past, [self._offers[n].closure for n in ends], list(ends.values()))
-        return self._review(dict(zip(ends, decisions, strict=True)))
+        estimate, graph, ends = self.estimate(), self._factors_without(range(len(self._offers))), self._ends()
+        closures = [self._offers[number].closure for number in ends]
+        judged = self.gate.evaluate_group(graph, estimate, closures, self.radii)
+        return self._review(dict(zip(ends, judged.decisions, strict=True)))
 
     def _review(self, decisions: Mapping[int, ClosureDecision]) -> Review:
         inside = self.admitted
@@ -260,7 +258,7 @@ class GatedISAM2:
         values: gtsam.Values,
         closures: Sequence[gtsam.NonlinearFactorGraph],
         radii: Radii | None,
-    ) -> GroupDecision:
+    ) -> Judgement:
         estimate = self.estimate()
         known = next(filter(estimate.exists, values.keys()), None)
         if known is not None:
@@ -338,7 +336,8 @@ class GatedISAM2:
         """Numbers of the closures of every revisit of which at least one is in."""
         ends = self._ends()
         numbers = list(ends)
-        way = travelled(self.gate.adapted(self.smoother.getFactorsUnsafe(), self.estimate(), self.radii))
+        pose_graph = self.gate.adapted(self.smoother.getFactorsUnsafe(), self.estimate(), self.radii)
+        way = track_of(pose_graph).way_m / free_space_unit(pose_graph)
         groups = [[numbers[k] for k in group] for group in revisits(list(ends.values()), way)]
         return [group for group in groups if any(self._offers[number].slots for number in group)]
 
@@ -356,7 +355,7 @@ class GatedISAM2:
         graph = self.smoother.getFactorsUnsafe()
         return without(graph, [slot for number in closures for slot in self._offers[number].standing(graph)])
 
-    def _without(self, revisit: Sequence[int]) -> GroupDecision:
+    def _without(self, revisit: Sequence[int]) -> Judgement:
         graph = self._factors_without(revisit)
         closures = [self._offers[number].closure for number in revisit]
         return self.gate.evaluate_group(graph, self.estimate(), closures, self.radii)

@@ -15,7 +15,7 @@ from scipy.stats import chi2
 
 from pgti_gtsam.gate.drift_model import DriftModel, Settled
 from pgti_gtsam.gate.left_out import left_out, left_out_together
-from pgti_gtsam.gate.log_odds import log_odds, log_odds_together
+from pgti_gtsam.gate.terms.drift import log_odds, log_odds_together
 from pgti_gtsam.gate.ties import OFFSET, OFFSET_RAD
 from pgti_gtsam.places import neighbourhoods
 
@@ -98,7 +98,7 @@ def own_closures(model: DriftModel) -> OwnClosures:
         # what the others say of each, and of each revisit
         missed, others = left_out(settled, closures)
         held = active[closures]
-        poorer = _poorer(model, missed[held], others[held])
+        poorer = poorer_odometry(model, missed[held], others[held])
         odds = PRIOR + log_odds(model, missed, poorer * others)
         together = _together(settled, [group[active[group]] for group in groups], odds, poorer)
 
@@ -159,7 +159,7 @@ def _together(settled: Settled, groups: list[NDArray[np.int64]], odds: Array, po
     return found
 
 
-def _poorer(model: DriftModel, missed: Array, others: Array) -> float:
+def poorer_odometry(model: DriftModel, missed: Array, others: Array) -> float:
     """Factor by which the odometry's variance exceeds the model's, by the median closure; from 1 to `POOREST`."""
     tolerance = np.diag(model.variances(OFFSET, OFFSET_RAD))
     squares = np.einsum("ka,ka->k", missed, np.linalg.solve(others + tolerance, missed[:, :, None])[:, :, 0])

@@ -54,11 +54,14 @@ def revisits(
         return near(late, last) and near(early, first) and not long
 
     found: list[list[int]] = []
+    recent: list[list[int]] = []
     for k in sorted(range(len(ends)), key=lambda k: (ends[k][1], ends[k][0])):
         early, late = ends[k]
-        group = next((g for g in reversed(found) if joins(early, late, g)), None)
+        recent = [group for group in recent if near(late, ends[group[-1]][1])]
+        group = next((g for g in reversed(recent) if joins(early, late, g)), None)
         if group is None:
-            found.append([k])
-        else:
-            group.append(k)
+            group = []
+            found.append(group)
+            recent.append(group)
+        group.append(k)
     return sorted(found, key=lambda group: ends[group[-1]][1])

@@ -10,6 +10,7 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
+from pgti_gtsam.errors import NoRadiusError
 from pgti_gtsam.gate.upright import Upright
 from pgti_gtsam.pose_graph import EdgeSource, PoseGraph
 
@@ -19,8 +20,9 @@ DRIFT = 0.03
 than what visual or wheel odometry is trusted with."""
 
 STRETCH = 0.1
-"""The same along the motion, on top: a step may be too long or too short. A scale that walks, as a single camera's does,
-or wheels that slip err farther in this direction than in any other."""
+"""The same along the motion, on top: a step may be too long or too short. A scale that walks, as a single camera's
+does, or wheels that slip err farther in this direction than in any other. On camera drives over a campus (seeds 1000
+to 1003 of `scenarios.worlds`) true closures were lost without: 95 of 106 and 26 of 37 passed on two, all do with it."""
 
 SHORTEST = 0.05
 """Least length of a step, in ρ: a standing robot drifts a little too."""
@@ -89,7 +91,12 @@ def ties_of(graph: gtsam.NonlinearFactorGraph, pose_graph: PoseGraph, poses: Seq
     for (i, j), source, slots in known:
         if not source & (EdgeSource.BETWEEN | EdgeSource.COVISIBILITY):
             continue
-        found = [(z, slot) for slot in slots if (z := _measured(graph.at(slot), keys[i], planar)) is not None]
+        is_skip = bool(source & EdgeSource.SKIP)
+        found = [
+            (z, -1 if is_skip else slot)
+            for slot in slots
+            if (z := _measured(graph.at(slot), keys[i], planar)) is not None
+        ]
 
         # a step of the track drifts with its length
         if source & EdgeSource.ODOMETRY:
@@ -120,6 +127,33 @@ def _measured(factor: Any, first: int, planar: bool) -> Any | None:
     z = factor.measured()
     z = z if planar or isinstance(z, gtsam.Pose3) else gtsam.Pose3(z)
     return z if factor.keys()[0] == first else z.inverse()
+
+
+def free_space_unit(pose_graph: PoseGraph) -> float:
+    """ρ: the median of the positive radii, m.
+
+    Raises
+    ------
+    NoRadiusError
+        No radius is positive.
+    """
+    positive = pose_graph.radii[pose_graph.radii > 0]
+    if not len(positive):
+        raise NoRadiusError("expected at least one positive radius, got none: nothing says how large free space is")
+    return float(np.median(positive))
+
+
+def closures_of(offered: Sequence[tuple[int, int, Any]], unit: float, levelling: Any, *, is_planar: bool) -> Ties:
+    """Closures as ties, numbered in their order; poses of the plane become poses in space where the map is there."""
+    poses = [z if is_planar or isinstance(z, gtsam.Pose3) else gtsam.Pose3(z) for _, _, z in offered]
+    tolerance = variances_of(OFFSET * unit, OFFSET_RAD, is_planar=is_planar)
+    return Ties(
+        pairs=np.array([tie[:2] for tie in offered], dtype=np.int64).reshape(-1, 2),
+        measured=tuple(levelling.inverse().compose(z).compose(levelling) for z in poses),
+        variances=np.tile(tolerance, (len(offered), 1)),
+        slots=np.arange(len(offered)),
+        drifts=np.zeros(len(offered)),
+    )
 
 
 def variances_of(length_m: float, angle: float, *, is_planar: bool) -> Array:

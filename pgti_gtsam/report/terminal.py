@@ -11,10 +11,11 @@ from rich.table import Table
 from rich.text import Text
 
 MAX_PLACES, MAX_CLOSURES = 8, 20
-WITNESSES = (
-    "Three witnesses, each in parts of its limit: how far the map bends for the closure, how much farther closures "
-    "miss with it, and how much more places touch that nothing connects."
+TERMS = (
+    "Log odds of true against false, by what the other ties predict and, where that leaves doubt, by the free space "
+    "that comes into contact."
 )
+_VERDICT_COLOURS = {"accepted": "green", "undecided": "yellow", "rejected": "red"}
 _COLOURS = {"consistent": "green", "incomplete": "cyan", "undecided": "yellow", "inconsistent": "red"}
 _KIND_COLOURS = {
     "likely false closure": "red",
@@ -188,56 +189,65 @@ def _own_closures(document: Mapping[str, Any]) -> RenderableType:
 
 
 def print_heading(name: str, what: str, notes: Sequence[str], console: Console) -> None:
-    """Print what was judged, and how to read the doubt behind each verdict."""
+    """Print what was judged, and what the number behind each verdict is."""
     console.print(Text.assemble((name, "bold"), f": {what}"), soft_wrap=True)
     for note in notes:
         console.print(Text(f"note: {note}", style="dim"), soft_wrap=True)
-    console.print(Text("doubt adds up what speaks against a closure: beyond 1 it is rejected", style="dim"))
+    console.print(Text("in front of each reason: the probability that the closure is true", style="dim"))
     console.print()
 
 
 def print_decisions(records: Sequence[Mapping[str, Any]], console: Console) -> None:
-    """Print one line for each closure: verdict, keyframes, doubt, what is known of it, the gravest reason."""
+    """Print one line for each closure: verdict, keyframes, probability, what is known of it, the gravest reason."""
     pairs = [_pair(record) for record in records]
     width = max(map(len, pairs), default=0)
     for record, pair in zip(records, pairs, strict=True):
-        verdict = ("accepted", "green") if record["accepted"] else ("rejected", "red")
         known = () if record["is_true"] is None else ("known ", _known(record), ": ")
-        doubt = f"  {pair:{width}}  doubt {_share(record['doubt']):>5}  "
-        console.print(Text.assemble(verdict, doubt, *known, _reason(record)), soft_wrap=True)
+        said = Text.assemble(
+            (f"{record['verdict']:9}", _VERDICT_COLOURS[record["verdict"]]),
+            f"  {pair:{width}}  {_percent(record):>5}  ",
+            *known,
+            _reason(record),
+        )
+        console.print(said, soft_wrap=True)
+        if record["global_score"] is not None:
+            rise = record["global_score"]
+            console.print(Text(f"{'':{width + 20}}Λ_glob {_share(rise['before'])} → {_share(rise['after'])}"))
 
 
 def print_closures(records: Sequence[Mapping[str, Any]], console: Console) -> None:
-    """Print the closures with the largest doubt, given worst first, as a table: what makes up the doubt of each."""
+    """Print the least probable closures, given in that order, as a table with what makes up the odds of each."""
     table = Table(box=None, pad_edge=False, header_style="dim")
     is_known = any(record["is_true"] is not None for record in records)
     table.add_column("verdict")
-    for name in ("keyframes", "doubt", "= bends", "+ misses", "+ touches"):
+    for name in ("keyframes", "probability", "log odds", "of drift", "of contacts"):
         table.add_column(name, justify="right", no_wrap=True)
     if is_known:
         table.add_column("known")
     for record in records[:MAX_CLOSURES]:
-        shares = record["doubts"]
+        terms = record["terms"]
         table.add_row(
-            Text("holds", style="green") if record["accepted"] else Text("doubtful", style="red"),
+            Text(record["verdict"], style=_VERDICT_COLOURS[record["verdict"]]),
             Text(_pair(record)),
-            _share(sum(shares.values())),
-            *(_share(shares[name]) for name in ("bending", "strain", "local_rise")),
+            _percent(record),
+            _share(record["log_odds"]),
+            *(_share(terms[name]["log_odds"]) if name in terms else "–" for name in ("drift", "contact_rise")),
             _known(record),
         )
     if records:
         console.print(table)
-        console.print(Text(WITNESSES, style="dim"))
+        console.print(Text(TERMS, style="dim"))
     if len(records) > MAX_CLOSURES:
         console.print(Text(f"and {len(records) - MAX_CLOSURES} more, in the JSON (--json)", style="dim"))
 
 
 def print_tally(records: Sequence[Mapping[str, Any]], console: Console, *, seconds: float) -> None:
     """Print how many closures passed, and of those that are known to be true or false how many rightly."""
-    passed = sum(record["accepted"] for record in records)
+    count = {verdict: sum(record["verdict"] == verdict for record in records) for verdict in _VERDICT_COLOURS}
     console.print()
-    console.print(Text(f"{len(records)} closures in {seconds:.1f} s: {passed} pass, {len(records) - passed} do not"))
-    for is_true, what, wanted in ((True, "true", "pass"), (False, "false", "do not")):
+    told = ", ".join(f"{number} {verdict}" for verdict, number in count.items())
+    console.print(Text(f"{len(records)} closures in {seconds:.1f} s: {told}"))
+    for is_true, what, wanted in ((True, "true", "accepted"), (False, "false", "not accepted")):
         known = [record for record in records if record["is_true"] is is_true]
         if known:
             right = sum(record["accepted"] is is_true for record in known)
@@ -269,11 +279,19 @@ def _known(record: Mapping[str, Any]) -> Text:
 
 
 def _reason(record: Mapping[str, Any]) -> str:
-    """The gravest reason, how many more there are, and how many closures it was given with."""
+    """What weighed most, how much more there is, and with how many other closures it was weighed."""
     first, more = str(record["reasons"][0]), record["reasons"][1:]
-    others = len(record["judged_with"])
-    together = f", together with {others} other{'s' if others > 1 else ''} of its revisit" if others else ""
-    return first + (f" (+{len(more)} more)" if more else "") + together
+    others = record["judged_with"] - 1
+    together = f" Weighed with {others} other{'s' if others > 1 else ''} of its revisit." if others else ""
+    return first + together + (f" (+{len(more)} more)" if more else "")
+
+
+def _percent(record: Mapping[str, Any]) -> str:
+    """A probability that does not round to certainty."""
+    probability = record["probability"]
+    if not isinstance(probability, float):
+        return "?"
+    return "<1 %" if probability < 0.01 else ">99 %" if probability > 0.99 else f"{100 * probability:.0f} %"
 
 
 def print_heat(document: Mapping[str, Any], console: Console) -> None:

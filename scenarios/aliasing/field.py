@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from pgti_gtsam import datasets
+from pgti_gtsam.datasets.chain import poses_of
 from pgti_gtsam.errors import InvalidOptionError
-from pgti_gtsam.gate.yardstick import pose_at
 from scenarios.problem import Problem, alone, between
 
 APART_M = 10.0
@@ -53,7 +53,7 @@ def problem(path: Path, seed: int, share: float, kind: str = "random") -> Proble
             f"expected a standard graph, got no file {path}; --data names the folder of the graphs"
         )
     dataset = datasets.read(path)
-    random, start = np.random.default_rng(seed), pose_at(dataset.values, 0)
+    random, start = np.random.default_rng(seed), poses_of(dataset.values)[0]
     planar = isinstance(start, gtsam.Pose2)
     prior = (gtsam.PriorFactorPose2 if planar else gtsam.PriorFactorPose3)(
         0, start, gtsam.noiseModel.Isotropic.Sigma(3 if planar else 6, 1e-3)
@@ -71,7 +71,7 @@ def problem(path: Path, seed: int, share: float, kind: str = "random") -> Proble
     drawn, n_outliers = _outliers(truth, inliers, kind, random), max(1, round(share * len(inliers)))
     factors = [*inliers, *(next(drawn) for _ in range(n_outliers))]
     order = sorted(range(len(factors)), key=lambda k: (max(factors[k].keys()), min(factors[k].keys()), k))
-    places = np.array([pose_at(truth, key).translation() for key in range(truth.size())])
+    places = np.array([pose.translation() for pose in poses_of(truth).values()])
     return Problem(
         name=f"{path.stem}-{seed}-{kind}-{share}",
         graph=odometry,
@@ -87,7 +87,7 @@ def problem(path: Path, seed: int, share: float, kind: str = "random") -> Proble
 def _outliers(truth: gtsam.Values, inliers: list[Any], kind: str, random: np.random.Generator) -> Iterator[Any]:
     """False closures without end, each with the noise model and, the first of a group, the pose of a true one."""
     n = truth.size()
-    poses = [pose_at(truth, key) for key in range(n)]
+    poses = list(poses_of(truth).values())
     places = np.array([pose.translation() for pose in poses])
     together = GROUP if "grouped" in kind else 1
     local = kind in ("local", "grouped")

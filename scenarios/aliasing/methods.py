@@ -84,11 +84,9 @@ def _gate(problem: Problem, rule: str) -> Answer:
     result = pgti.gate_graph(graph, problem.values, radii=problem.radii, closures=slots, gate=gate)
     decisions = [result.decisions[slot] for slot in slots]
     accepted = np.array([decision.accepted for decision in decisions])
-    if rule == "global_rise":
-        doubts = [decision.global_score.rise for decision in decisions]
-    else:
-        doubts = [decision.doubt for decision in decisions]
-    return accepted, -np.array(doubts), result.values
+    if rule == "log_odds":
+        return accepted, np.nan_to_num([decision.log_odds for decision in decisions]), result.values
+    return accepted, -np.array([decision.terms[rule].value for decision in decisions]), result.values
 
 
 def _chi_squared(problem: Problem) -> Answer:
@@ -197,7 +195,7 @@ def _kernel(problem: Problem, estimator: Any) -> Answer:
 
 _LOSSES = gtsam.noiseModel.mEstimator
 METHODS: dict[str, Callable[[Problem], Answer]] = {
-    "gate": partial(_gate, rule="free_space"),
+    "gate": partial(_gate, rule="log_odds"),
     "Λ_glob rule": partial(_gate, rule="global_rise"),
     "no gate": _no_gate,
     "χ²": _chi_squared,

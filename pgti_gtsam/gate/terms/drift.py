@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pgti_gtsam.gate.decision import Term
 from pgti_gtsam.gate.drift_model import DriftModel
 from pgti_gtsam.gate.ties import OFFSET, OFFSET_RAD
 
@@ -23,6 +24,9 @@ at ρ = 4 m."""
 
 NEAR_SHARE = 0.1
 """Of true closures, those that match places."""
+
+AGREES = 0.4
+"""Log odds of each further member of a revisit that agrees: those of false revisits agree less often, ln 1.5."""
 
 Array = NDArray[np.float64]
 
@@ -45,7 +49,11 @@ def log_odds(model: DriftModel, missed: Array, predicted: Array) -> Array:
         np.log(1 - NEAR_SHARE) + log_normal(missed, predicted + exact),
         np.log(NEAR_SHARE) + log_normal(missed, predicted + near),
     )
-    found[known] = is_true - log_normal(missed, predicted + near + model.spread)
+    is_false = np.logaddexp(
+        np.log(1 - NEAR_SHARE) + log_normal(missed, predicted + exact + model.spread),
+        np.log(NEAR_SHARE) + log_normal(missed, predicted + near + model.spread),
+    )
+    found[known] = is_true - is_false
     return found
 
 
@@ -95,3 +103,15 @@ def log_normal(x: Array, covariances: Array) -> Array:
     _, log_determinants = np.linalg.slogdet(covariances)
     squares = np.einsum("ka,ka->k", x, np.linalg.solve(covariances, x[:, :, None])[:, :, 0])
     return np.asarray(-0.5 * (squares + log_determinants + x.shape[1] * np.log(2 * np.pi)))
+
+
+def term(odds: float, missed_m: float, missed_rad: float, allowed_m: float) -> Term:
+    """The evidence in words."""
+    if np.isnan(odds):
+        sentence = "No tie leads between its keyframes: nothing predicts the closure."
+    else:
+        sentence = (
+            f"The other ties predict its later keyframe {missed_m:.2g} m and {np.degrees(missed_rad):.0f}° from where "
+            f"it measures that, and may err by {allowed_m:.2g} m."
+        )
+    return Term(value=missed_m, log_odds=odds, sentence=sentence)

@@ -8,15 +8,15 @@ from hypothesis import strategies as st
 
 import pgti_gtsam as pgti
 from pgti_gtsam.errors import NoRadiusError
-from pgti_gtsam.gate.evidence import (
+from pgti_gtsam.gate.decision import Change
+from pgti_gtsam.gate.terms.contact_rise import (
     GATE_TIMES,
     REGION,
-    Change,
     bridged_overlaps,
     contacts,
-    free_space_unit,
     local_rise,
 )
+from pgti_gtsam.gate.ties import free_space_unit
 from pgti_gtsam.integrity import stable_scores
 from pgti_gtsam.spectral.heat_kernel import heat_kernels
 from pgti_gtsam.support_graph import overlapping_spheres

@@ -1,0 +1,288 @@
+"""Which of some closures are true: the surest revisit is tied first, and the others are asked again.
+
+Each revisit is weighed by what the ties so far predict of it (`terms.drift`). Of those that pass, the surest is taken,
+and the predictions of the others follow it (Gaussian conditioning), so that two that contradict each other never pass
+together; then the map is brought to its optimum, and the rest weighed anew. Where the drift alone leaves doubt, the
+free space decides (`terms.contact_rise`). In the end every member is compared with all the others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pgti_gtsam.gate.decision import Change
+from pgti_gtsam.gate.drift_model import DriftModel, Settled
+from pgti_gtsam.gate.left_out import left_out
+from pgti_gtsam.gate.own_closures import poorer_odometry
+from pgti_gtsam.gate.terms import contact_rise
+from pgti_gtsam.gate.terms.contact_rise import Contacts, local_rise
+from pgti_gtsam.gate.terms.drift import AGREES, log_odds, log_odds_together
+from pgti_gtsam.gate.ties import OFFSET, OFFSET_RAD
+
+MEMBERS = 8
+"""Most members by which a revisit is weighed: those between them say nothing new."""
+
+AT_ONCE = 48
+"""Most revisits that are taken between one optimum and the next."""
+
+CURVED = 0.25
+"""How far, in ρ, a correction may bend the map beyond what linear predictions hold for, before a new optimum."""
+
+DOUBT = 10.0
+"""Log odds of the drift beyond which the free space is not asked."""
+
+HOPELESS = -100.0
+"""Log odds below which a revisit is not weighed again: no tie elsewhere brings it back."""
+
+MORE_DRIFT = 1.3
+"""Factor by which the odometry must turn out poorer, in variance, before closures that failed are weighed again."""
+
+MOST_CHECKS = 10
+"""Times that members are compared with all the others; each takes out at least the worst."""
+
+Array = NDArray[np.float64]
+Ties = NDArray[np.int64]
+
+
+@dataclass(slots=True, kw_only=True, eq=False)
+class Weight:
+    """What was found of one revisit.
+
+    Attributes
+    ----------
+    ties : (g,) int
+        Of the drift model.
+    drift : float
+        Log odds by the drift when it was tied, or in the end; NaN where no tie leads between its keyframes.
+    missed_m, missed_rad, allowed_m : float
+        What its middle member misses the prediction by, and the prediction's standard deviation.
+    rise : Change or None
+        Stable score of the keyframe whose score rises most, where the free space was asked; its index.
+    """
+
+    ties: Ties
+    drift: float = np.nan
+    missed_m: float = np.nan
+    missed_rad: float = np.nan
+    allowed_m: float = np.inf
+    rise: Change | None = None
+    worst: int | None = None
+
+    @property
+    def log_odds(self) -> float:
+        """All evidence together."""
+        return self.drift + (0.0 if self.rise is None else contact_rise.log_odds(self.rise.rise))
+
+
+@dataclass(slots=True, kw_only=True, eq=False)
+class Admission:
+    """A map and closures that ask to be tied.
+
+    Attributes
+    ----------
+    model : DriftModel
+    needed : float
+        Log odds from which a closure passes.
+    contacts_of : callable
+        Contacts of the map at an optimum.
+    active : (m,) bool
+        Ties that hold.
+    weights : list of Weight
+    member_odds : dict from tie to float
+        Log odds of members that all the others contradict, which were taken out again.
+    settled : Settled
+    """
+
+    model: DriftModel
+    needed: float
+    contacts_of: Callable[[Settled], Contacts]
+    active: NDArray[np.bool_]
+    weights: list[Weight]
+    settled: Settled
+    progress: Callable[[int, int], None] = lambda done, of: None
+    member_odds: dict[int, float] = field(default_factory=dict)
+    _poorer: float = 1.0
+    _contacts: Contacts | None = None
+    _refused: list[Weight] = field(default_factory=list)
+
+    def run(self) -> None:
+        """Tie what passes."""
+        while self._open():
+            if self._take(self._surest()) or self._take_doubtful() or self._join_parts() or self._widened():
+                self.progress(sum(len(each.ties) for each in self.weights) - self._n_open(), self._n_offered())
+            else:
+                break
+        self._compare_members()
+        self.progress(self._n_offered(), self._n_offered())
+
+    def _open(self) -> list[Weight]:
+        return [each for each in self.weights if not self.active[each.ties].any() and each not in self._refused]
+
+    def _n_open(self) -> int:
+        return sum(len(each.ties) for each in self._open())
+
+    def _n_offered(self) -> int:
+        return sum(len(each.ties) for each in self.weights)
+
+    def _surest(self) -> list[Weight]:
+        """Revisits that pass one after the other, each given those before it."""
+        asked = [each for each in self._open() if not each.drift < HOPELESS]
+        self._weigh_all(asked)
+        passing = sorted((each for each in asked if each.drift > self.needed), key=lambda each: -each.drift)[:AT_ONCE]
+        return self._one_by_one(passing) if passing else []
+
+    def _weigh_all(self, asked: list[Weight]) -> None:
+        """By the map as it is: single closures at once, revisits one by one."""
+        ties, single = self.model.ties, [each for each in asked if len(each.ties) == 1]
+        own = np.array([each.ties[0] for each in single], dtype=np.int64)
+        spreads = self.settled.covariances(ties.pairs[own])
+        odds = log_odds(self.model, self.settled.residuals[own], self._poorer * spreads)
+        for each, residual, spread, found in zip(single, self.settled.residuals[own], spreads, odds, strict=True):
+            self._note(each, residual, spread, float(found))
+
+        # those of several
+        rest = [each for each in asked if len(each.ties) > 1]
+        members = [_some(each.ties) for each in rest]
+        joint = self.settled.joint_covariances([ties.pairs[some] for some in members])
+        for each, some, spread in zip(rest, members, joint, strict=True):
+            self._weigh(each, some, self.settled.residuals[some], spread)
+
+    def _one_by_one(self, passing: list[Weight]) -> list[Weight]:
+        """Those of some that pass given the ones before, the surest first, as far as linear predictions hold.
+
+        Conditioning on a revisit takes W Wᵀ off the covariance of all; the blocks are formed when they are asked for.
+        """
+        members, d = [_some(each.ties) for each in passing], len(self.model.spread)
+        pairs = np.concatenate([self.model.ties.pairs[own] for own in members])
+        spread = self.settled.joint_covariances([pairs])[0]
+        missed = np.concatenate([self.settled.residuals[own].ravel() for own in members])
+        tolerance = self.model.variances(OFFSET, OFFSET_RAD)
+        known, ends = np.empty((len(missed), 0)), d * np.cumsum([0, *map(len, members)])
+        taken: list[Weight] = []
+        for each, own, span in zip(passing, members, map(slice, ends[:-1].tolist(), ends[1:].tolist()), strict=True):
+            block = spread[span, span] - known[span] @ known[span].T
+            if taken:
+                self._weigh(each, own, missed[span].reshape(-1, d), block)
+            if each.drift <= self.needed:
+                continue
+            taken.append(each)
+
+            # what it says of all the others
+            root = np.linalg.cholesky(block + np.diag(np.tile(tolerance, len(own))))
+            columns = np.linalg.solve(root, spread[span] - known[span] @ known.T).T
+            moved = columns @ np.linalg.solve(root, missed[span])
+            known, missed = np.hstack([known, columns]), missed - moved
+            if self._bends(moved.reshape(-1, d)):
+                break
+        return taken
+
+    def _bends(self, moved: Array) -> bool:
+        """Whether corrections turn the map so far that linear predictions fail: extent θ² / 2."""
+        turned = np.delete(moved, np.arange(moved.shape[1])[self.model.translation], axis=1)
+        extent = float(np.sqrt(np.diag(self.model.spread)[self.model.translation].max()))
+        return bool(extent * np.square(turned).max() / 2 > CURVED * self.model.unit_m)
+
+    def _weigh(self, each: Weight, own: Ties, missed: Array, spread: Array) -> None:
+        """A revisit of several by what some of its members miss."""
+        odds = np.nan
+        if np.isfinite(spread).all():
+            later = self.model.ties.pairs[own, 1].tolist()
+            odds = log_odds_together(self.model, self.settled.poses, later, missed, self._poorer * spread)
+            odds += AGREES * (len(own) - 1)
+        middle, d = len(own) // 2, missed.shape[1]
+        inner = slice(middle * d, (middle + 1) * d)
+        self._note(each, missed[middle], spread[inner, inner], odds)
+
+    def _note(self, each: Weight, missed: Array, spread: Array, odds: float) -> None:
+        place = self.model.translation
+        each.drift = odds
+        each.missed_m = float(np.linalg.norm(missed[place]))
+        each.missed_rad = float(np.linalg.norm(np.delete(missed, np.arange(len(missed))[place])))
+        each.allowed_m = float(self.settled.allowances_m(self._poorer * spread[None])[0])
+
+    def _take(self, chosen: Sequence[Weight]) -> bool:
+        """Tie revisits, but for those that the free space speaks against; whether any stays."""
+        if not chosen:
+            return False
+        before, start = self._contacts or self.contacts_of(self.settled), self.settled
+        settled = self._with(chosen)
+        after, doubtful = self.contacts_of(settled), [each for each in chosen if each.drift < DOUBT]
+        if doubtful:
+            rise = local_rise(before, after)
+            for each in doubtful:
+                each.rise, each.worst = rise
+            failing = [each for each in doubtful if each.log_odds <= self.needed]
+
+            # one of several may be at fault: each by itself
+            if failing and len(chosen) > 1:
+                for each in doubtful:
+                    each.rise, each.worst = local_rise(before, self.contacts_of(self._with([each])))
+                failing = [each for each in doubtful if each.log_odds <= self.needed]
+            if failing:
+                self._refused += failing
+                chosen = [each for each in chosen if each not in failing]
+                settled = self._with(chosen) if chosen else start
+                after = self.contacts_of(settled) if chosen else before
+        self.settled, self._contacts = settled, after
+        self.active = settled.active
+        return True
+
+    def _with(self, chosen: Sequence[Weight]) -> Settled:
+        active = self.active.copy()
+        for each in chosen:
+            active[each.ties] = True
+        return self.model.settled(active, self.settled)
+
+    def _take_doubtful(self) -> bool:
+        """The best revisit that passes if it brings nothing into contact."""
+        open_ = [each for each in self._open() if each.drift > self.needed - contact_rise.log_odds(0.0)]
+        return bool(open_) and self._take([max(open_, key=lambda each: each.drift)])
+
+    def _join_parts(self) -> bool:
+        """The largest revisit that joins parts which no tie leads between: nothing else can place them."""
+        open_ = [each for each in self._open() if np.isnan(each.drift)]
+        return bool(open_) and self._take([max(open_, key=lambda each: len(each.ties))])
+
+    def _widened(self) -> bool:
+        """Whether what was tied shows that the odometry is poorer than was thought."""
+        tied = self._tied()
+        if not len(tied):
+            return False
+        poorer = poorer_odometry(self.model, *left_out(self.settled, tied))
+        if poorer < MORE_DRIFT * self._poorer:
+            return False
+        self._poorer = poorer
+        return True
+
+    def _tied(self) -> Ties:
+        offered = np.concatenate([np.empty(0, dtype=np.int64), *(each.ties for each in self.weights)])
+        return np.asarray(offered[self.active[offered]])
+
+    def _compare_members(self) -> None:
+        """Take out members that all the others contradict."""
+        for _ in range(MOST_CHECKS):
+            tied = self._tied()
+            if not len(tied):
+                return
+            missed, others = left_out(self.settled, tied)
+            odds = log_odds(self.model, missed, self._poorer * others)
+            condemned = odds < 0
+            if not condemned.any():
+                return
+            out = condemned & (odds <= odds[condemned].min() / 2)
+            self.member_odds |= dict(zip(tied[out].tolist(), odds[out].tolist(), strict=True))
+            active = self.active.copy()
+            active[tied[out]] = False
+            self.settled = self.model.settled(active, self.settled)
+            self.active = active
+
+
+def _some(ties: Ties) -> Ties:
+    """At most `MEMBERS` of them, evenly."""
+    if len(ties) <= MEMBERS:
+        return ties
+    return np.asarray(ties[np.unique(np.linspace(0, len(ties) - 1, MEMBERS).round().astype(np.int64))])

@@ -1,0 +1,164 @@
+"""Closures as candidate ties: the relative pose that each measures or implies, and which of them say the same."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from pgti_gtsam.adapter.values import Keyframes, typed_value
+from pgti_gtsam.errors import UnsolvableGraphError
+from pgti_gtsam.factor_graphs import BETWEEN, factors_of, graph_of, keys_of, measured_from
+from pgti_gtsam.gate.drift_model import Settled
+from pgti_gtsam.gate.revisits import revisits
+from pgti_gtsam.gate.trial import optimised
+
+AGREEMENT, AGREEMENT_RAD = 0.5, 0.35
+"""How far apart two closures of a revisit may put a place and still say the same, in ρ and in rad."""
+
+STRETCHED = 0.1
+"""Part by which that grows with each ρ of way between the two: the odometry drifts in between as well."""
+
+STILL, MOST_STEPS = 1e-3, 50
+"""Standard deviation, in ρ, of landmarks that a keyframe is placed by, and Levenberg-Marquardt steps for it."""
+
+Tie = tuple[int, int, Any]
+"""Keyframes i < j and the pose of j seen from i."""
+
+
+def measured_ties(closure: gtsam.NonlinearFactorGraph, keyframes: Keyframes) -> list[Tie]:
+    """What the between factors of a closure measure."""
+    found = []
+    for factor in factors_of(closure):
+        if isinstance(factor, BETWEEN):
+            first, second = sorted(keys_of(factor), key=lambda key: keyframes.index[key])
+            found.append((keyframes.index[first], keyframes.index[second], measured_from(factor, first)))
+    return [tie for tie in found if tie[0] != tie[1]]
+
+
+def implied_tie(
+    closure: gtsam.NonlinearFactorGraph, graph: gtsam.NonlinearFactorGraph, keyframes: Keyframes, unit_m: float
+) -> Tie | None:
+    """The relative pose that landmarks seen again imply: of their keyframe, placed by them alone, from who knew them.
+
+    The landmarks stay where the map has them, and the keyframe is placed by the closure's factors, from its own pose
+    and from that of the keyframe that knows most of them, whichever fits better. None where no other keyframe does.
+    """
+    seen = {key for factor in factors_of(closure) for key in keys_of(factor)}
+    second = max((key for key in seen if key in keyframes.index), key=lambda key: keyframes.index[key], default=None)
+    if second is None:
+        return None
+
+    # who knows the landmarks
+    known: dict[int, int] = {}
+    for factor in factors_of(graph):
+        keys = keys_of(factor)
+        if seen.intersection(keys) - {second}:
+            for key in set(keys) & set(keyframes.index) - {second}:
+                known[key] = known.get(key, 0) + 1
+    if not known:
+        return None
+    first = min(known, key=lambda key: (-known[key], keyframes.index[key]))
+
+    # where they put the keyframe, seen from there
+    placed = _placed(closure, keyframes, second, [_pose(keyframes, second), _pose(keyframes, first)], unit_m)
+    if placed is None:
+        return None
+    i, j, measured = keyframes.index[first], keyframes.index[second], _pose(keyframes, first).between(placed)
+    return (i, j, measured) if i < j else (j, i, measured.inverse())
+
+
+def _placed(
+    closure: gtsam.NonlinearFactorGraph, keyframes: Keyframes, key: int, starts: Sequence[Any], unit_m: float
+) -> Any | None:
+    """Pose of a keyframe by factors to variables that stay where they are, from the best of some starts."""
+    factors = [factor for factor in factors_of(closure) if key in keys_of(factor)]
+    graph, values = graph_of(factors), gtsam.Values()
+    for other in sorted({k for factor in factors for k in keys_of(factor)} - {key}):
+        for name, prior in _PRIORS.items():
+            value = typed_value(keyframes.values, name, other)
+            if value is not None:
+                (values.insertPoint3 if name == "Point3" else values.insert)(other, value)
+                graph.push_back(
+                    prior(other, value, gtsam.noiseModel.Isotropic.Sigma(_DIMENSIONS[name], STILL * unit_m))
+                )
+                break
+        else:
+            return None
+    found = []
+    for start in starts:
+        tried = gtsam.Values(values)
+        tried.insert(key, start)
+        try:
+            best = optimised(graph, tried, max_iterations=MOST_STEPS)
+        except UnsolvableGraphError:  # too few landmarks to place it, or all of them behind the camera
+            continue
+        found.append((graph.error(best), best))
+    if not found:
+        return None
+    best = min(found, key=lambda each: each[0])[1]
+    return best.atPose2(key) if isinstance(starts[0], gtsam.Pose2) else best.atPose3(key)
+
+
+def _pose(keyframes: Keyframes, key: int) -> Any:
+    return keyframes.poses.get(key) or typed_value(keyframes.values, "Pose2", key) or keyframes.values.atPose3(key)
+
+
+_PRIORS: dict[str, Any] = {
+    "Point2": gtsam.PriorFactorPoint2,
+    "Point3": gtsam.PriorFactorPoint3,
+    "Pose2": gtsam.PriorFactorPose2,
+    "Pose3": gtsam.PriorFactorPose3,
+}
+_DIMENSIONS = {"Point2": 2, "Point3": 3, "Pose2": 3, "Pose3": 6}
+
+
+def agreeing(settled: Settled, ties: NDArray[np.int64], way: NDArray[np.float64]) -> list[NDArray[np.int64]]:
+    """Ties of one revisit that say the same, together.
+
+    A tie from i to j moves the map at j by T_i z T_j⁻¹. Two agree when these motions put the places of both to the
+    same places; the largest party is taken first.
+
+    Parameters
+    ----------
+    settled : Settled
+    ties : (k,) int
+    way : (n,) float
+        Along the track, ρ.
+    """
+    pairs, found = settled.model.ties.pairs, []
+    for revisit in revisits([(int(i), int(j)) for i, j in pairs[ties]], way):
+        own = ties[revisit]
+        agree, left = _agree(settled, own, way), np.arange(len(own))
+        while len(left):
+            best = left[np.argmax(agree[np.ix_(left, left)].sum(axis=1))]
+            party = left[agree[best, left]]
+            found.append(own[party])
+            left = np.setdiff1d(left, party)
+    return found
+
+
+def _agree(settled: Settled, ties: NDArray[np.int64], way: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Which two of some ties say the same, (k, k)."""
+    model, poses = settled.model, settled.poses
+    pairs = model.ties.pairs[ties]
+    motions = [
+        poses[i].compose(model.ties.measured[k]).compose(poses[j].inverse())
+        for k, (i, j) in zip(ties.tolist(), pairs.tolist(), strict=True)
+    ]
+    places = [poses[j].translation() for j in pairs[:, 1].tolist()]
+    moved = np.array([[motion.transformFrom(place) for place in places] for motion in motions])
+    apart = np.linalg.norm(moved - moved[np.arange(len(ties)), np.arange(len(ties))], axis=2) / model.unit_m
+    later = way[pairs[:, 1]]
+    allowed = AGREEMENT * (1 + STRETCHED * np.abs(later[:, None] - later))
+    turned = np.array([[_angle(one.between(other)) for other in motions] for one in motions])
+    return np.asarray((np.maximum(apart, apart.T) <= allowed) & (turned <= AGREEMENT_RAD))
+
+
+def _angle(pose: Any) -> float:
+    if isinstance(pose, gtsam.Pose2):
+        return abs(float(pose.theta()))
+    return float(np.linalg.norm(gtsam.Rot3.Logmap(pose.rotation())))

@@ -1,0 +1,84 @@
+"""What the gate says of a closure: plain numbers and words, that keep nothing of the map."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+from scipy.special import expit
+
+Verdict = Literal["accepted", "undecided", "rejected"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Change:
+    """A quantity with and without the closure."""
+
+    before: float
+    after: float
+
+    @property
+    def rise(self) -> float:
+        """After minus before."""
+        return self.after - self.before
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Term:
+    """One kind of evidence.
+
+    Attributes
+    ----------
+    value : float
+        What was measured, in the unit that the sentence names.
+    log_odds : float
+        What the measurement says of true against false.
+    sentence : str
+    """
+
+    value: float
+    log_odds: float
+    sentence: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ClosureDecision:
+    """Verdict on one closure.
+
+    Attributes
+    ----------
+    verdict : {"accepted", "undecided", "rejected"}
+    log_odds : float
+        Of true against false, all evidence together; NaN where nothing judges the closure.
+    terms : mapping of name to Term
+        "drift", "contact_rise" where the drift left the closure in doubt, "global_rise" and "keyframe_rise" where the
+        rule asks for them.
+    reasons : tuple of str
+        The terms' sentences, those that weighed most first.
+    keys : tuple of int
+        Keys of the keyframes that the closure ties, ascending.
+    judged_with : int
+        Number of closures of one revisit that were weighed as one, this one included.
+    score, global_score : Change or None
+        Λ and Λ_glob of the map before and after the closure; None where `GateOptions.scores` did not ask for them.
+    """
+
+    verdict: Verdict
+    log_odds: float
+    terms: Mapping[str, Term]
+    reasons: tuple[str, ...]
+    keys: tuple[int, ...]
+    judged_with: int = 1
+    score: Change | None = None
+    global_score: Change | None = None
+
+    @property
+    def accepted(self) -> bool:
+        """Whether the closure may be tied."""
+        return self.verdict == "accepted"
+
+    @property
+    def probability(self) -> float:
+        """Probability that the closure is true."""
+        return float(expit(self.log_odds))

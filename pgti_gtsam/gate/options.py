@@ -1,0 +1,53 @@
+"""The gate's options."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from pgti_gtsam.adapter import MIN_SHARED_LANDMARKS
+from pgti_gtsam.errors import InvalidOptionError
+
+RULES = ("log_odds", "global_rise", "keyframe_rise")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GateOptions:
+    """What the gate weighs, and how sure it must be.
+
+    Attributes
+    ----------
+    rule : {"log_odds", "global_rise", "keyframe_rise"}
+        The default adds up what the drift and the free space say. The others are the paper's rule (section 6.3.1) on
+        its own: reject a closure when Λ_glob rises by more than `max_rise`, or when any keyframe's ζ does.
+    min_probability : float
+        A closure is accepted from this probability on, rejected from its complement down, and undecided between.
+    max_rise : float
+        Of the paper's rule, which names no number.
+    scores : bool
+        Whether decisions hold Λ and Λ_glob before and after: two assessments of the map for each.
+    beta : float
+        β of Λ_loc and Λ_glob.
+    edges, min_shared_landmarks
+        As in `from_gtsam`.
+    """
+
+    rule: str = "log_odds"
+    min_probability: float = 0.95
+    max_rise: float = 0.2
+    scores: bool = False
+    beta: float = 0.5
+    edges: tuple[str, ...] | None = None
+    min_shared_landmarks: int = MIN_SHARED_LANDMARKS
+
+    def __post_init__(self) -> None:
+        if self.rule not in RULES:
+            raise InvalidOptionError(f"expected rule from {', '.join(RULES)}, got {self.rule!r}")
+        if not 0.5 <= self.min_probability < 1:
+            raise InvalidOptionError(
+                f"expected min_probability from 0.5 to below 1, got {self.min_probability}; a closure that is more "
+                "likely false than true is never accepted"
+            )
+        if not self.max_rise > 0:
+            raise InvalidOptionError(f"expected max_rise above 0, got {self.max_rise}")
+        if not 0 < self.beta < 1:
+            raise InvalidOptionError(f"expected beta between 0 and 1, got {self.beta}")

@@ -1,0 +1,82 @@
+"""Closures that are landmarks seen again: judged by the relative pose that they imply."""
+
+import gtsam
+import numpy as np
+import pytest
+from streets import block, driven
+
+import pgti_gtsam as pgti
+
+SEEN = gtsam.noiseModel.Diagonal.Sigmas([0.02, 0.1])
+LAP = 4 * 32
+REACH = 12.0
+
+
+def sightings(truth, places, keyframe, landmarks, names):
+    """Bearing and range from a keyframe to some landmarks, under the names that an association gives them."""
+    factors = []
+    for true, name in zip(landmarks, names, strict=True):
+        pose, point = truth[keyframe], places[true]
+        factors.append(
+            gtsam.BearingRangeFactor2D(keyframe, gtsam.symbol("l", name), pose.bearing(point), pose.range(point), SEEN)
+        )
+    return factors
+
+
+@pytest.fixture(scope="module")
+def mapped():
+    """A lap with drift that saw landmarks on both sides of the way, and twenty metres of the second without any."""
+    world = driven(block(60, times=2)[: LAP + 12], bias=0.002, noise=0.003)
+    random = np.random.default_rng(0)
+    places = np.array([random.normal(p.translation(), 5.0) for p in world.truth[:LAP:2]])
+    graph, values = gtsam.NonlinearFactorGraph(world.graph), gtsam.Values(world.values)
+    for k in range(LAP - 8):
+        near = np.flatnonzero(np.linalg.norm(places - world.truth[k].translation(), axis=1) < REACH)
+        for factor in sightings(world.truth, places, k, near, near):
+            graph.push_back(factor)
+            key = factor.keys()[1]
+            if not values.exists(key):
+                pose, local = world.values.atPose2(k), world.truth[k].transformTo(places[gtsam.Symbol(key).index()])
+                values.insert(key, pose.transformFrom(local))
+    return world, places, graph, values
+
+
+def near(world, places, keyframe, count):
+    return np.argsort(np.linalg.norm(places - world.truth[keyframe].translation(), axis=1))[:count]
+
+
+def test_landmarks_that_are_seen_again_are_a_closure(mapped):
+    world, places, graph, values = mapped
+    last = LAP + 6
+    known = near(world, places, last, 5)
+    decision = pgti.LoopClosureGate().evaluate(graph, values, sightings(world.truth, places, last, known, known), 3.0)
+    assert decision.accepted
+    assert decision.keys[-1] == last
+    assert decision.keys[0] < LAP - 8
+
+
+@pytest.mark.parametrize("elsewhere", [20, 50, 90])
+def test_landmarks_that_are_taken_for_others_are_rejected(mapped, elsewhere):
+    """Five landmarks elsewhere are taken for those at hand: at best undecided, as far as the drift allows for it."""
+    world, places, graph, values = mapped
+    last = LAP + 6
+    names = near(world, places, elsewhere, 5)
+    alike = gtsam.NonlinearFactorGraph()
+    for factor in sightings([*world.truth[:last], world.truth[elsewhere]], places, last, names, names):
+        alike.push_back(factor)
+    decision = pgti.LoopClosureGate().evaluate(graph, values, alike, 3.0)
+    assert not decision.accepted
+    assert decision.log_odds < 0
+
+
+def test_a_landmark_that_nobody_knows_ties_nothing(mapped):
+    world, _, graph, values = mapped
+    more = gtsam.Values(values)
+    more.insert(gtsam.symbol("l", 999), world.values.atPose2(LAP).transformFrom(np.array([1.0, 2.0])))
+    pose = world.values.atPose2(LAP)
+    point = more.atPoint2(gtsam.symbol("l", 999))
+    closure = gtsam.BearingRangeFactor2D(LAP, gtsam.symbol("l", 999), pose.bearing(point), pose.range(point), SEEN)
+    decision = pgti.LoopClosureGate().evaluate(graph, more, closure, 3.0)
+    assert decision.accepted
+    assert decision.keys == ()
+    assert np.isnan(decision.log_odds)
