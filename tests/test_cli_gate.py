@@ -90,7 +90,7 @@ def test_the_gate_says_what_it_accepts_and_why(run, streets):
         assert "2 others of its revisit" in said[f"{i} – {j}"]
     for i, j in FALSE:
         assert said[f"{i} – {j}"].startswith("rejected")
-        assert "predict its later keyframe" in said[f"{i} – {j}"]
+        assert "put its later keyframe" in said[f"{i} – {j}"]
         assert "<1 %" in said[f"{i} – {j}"]
     assert "3 accepted, 0 undecided, 2 rejected" in out
     assert "known to be true: 3, of which 3 accepted" in out

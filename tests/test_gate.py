@@ -58,7 +58,7 @@ def test_a_false_match_is_rejected_with_its_reasons(lap, i, j):
     decision = judged(lap, lap.closure(i, j, NOWHERE))
     assert not decision.accepted
     assert decision.verdict == "rejected"
-    assert "predict" in decision.reasons[0]
+    assert "from where the closure does" in decision.reasons[0]
 
 
 def test_closure_at_the_end_of_the_map(lap):

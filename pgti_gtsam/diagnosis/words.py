@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from pgti_gtsam.diagnosis.records import ClosureFinding, Level, Place
+from pgti_gtsam.gate.decision import metres
 from pgti_gtsam.integrity import Integrity
 
 
@@ -15,7 +16,7 @@ def place_words(place: Place, labels: Sequence[str], blamed: tuple[int, int] | N
     """Why a place is named, and what to do; `blamed` are the ends of the closure that is at fault, where one is."""
     earlier, later = (_stretch(ends, labels) for ends in place.keyframes)
     first, second = (labels[k] for k in place.revisit.closest)
-    drift = f"drift {_metres(place.allowance_m)}, spheres {_metres(place.reach_m)}"
+    drift = f"drift {metres(place.allowance_m)}, spheres {metres(place.reach_m)}"
     tie = _tie(place.proposal, labels)
     false = " – ".join(labels[k] for k in blamed or ())
     said: dict[str, tuple[str, str]] = {
@@ -56,8 +57,8 @@ def closure_sentence(missed_m: float, missed_deg: float, allowed_m: float, *, is
         return "No other tie leads between its keyframes: nothing judges it."
     against = "contradicts" if is_false else "agrees with"
     return (
-        f"It {against} all others: they predict its second keyframe {_metres(missed_m)} and {missed_deg:.0f}° away "
-        f"from where it measures it, give or take {_metres(allowed_m)}."
+        f"It {against} all others: they predict its second keyframe {metres(missed_m)} and {missed_deg:.0f}° away "
+        f"from where it measures it, give or take {metres(allowed_m)}."
     )
 
 
@@ -99,11 +100,7 @@ def _tie(proposal: Any, labels: Sequence[str]) -> str:
         return "Match them; nothing predicts where."
     i, j = (labels[k] for k in proposal.keyframes)
     angle = min(3 * proposal.sigma_deg, 180.0)
-    return f"Match {i} with {j} within {_metres(proposal.search_m)} and {angle:.0f}° of the map, and tie them."
-
-
-def _metres(length: float) -> str:
-    return f"{length:.2g} m" if length < 10 else f"{length:.0f} m"
+    return f"Match {i} with {j} within {metres(proposal.search_m)} and {angle:.0f}° of the map, and tie them."
 
 
 def _count(number: int, what: str) -> str:

@@ -11,6 +11,11 @@ from scipy.special import expit
 Verdict = Literal["accepted", "undecided", "rejected"]
 
 
+def metres(length: float) -> str:
+    """A length in words, with two digits below ten metres."""
+    return f"{length:.2g} m" if length < 10 else f"{length:.0f} m"
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Change:
     """A quantity with and without the closure."""

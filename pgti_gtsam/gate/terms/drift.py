@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pgti_gtsam.gate.decision import Term
+from pgti_gtsam.gate.decision import Term, metres
 from pgti_gtsam.gate.drift_model import DriftModel
 from pgti_gtsam.gate.ties import OFFSET, OFFSET_RAD
 
@@ -111,7 +111,7 @@ def term(odds: float, missed_m: float, missed_rad: float, allowed_m: float) -> T
         sentence = "No tie leads between its keyframes: nothing predicts the closure."
     else:
         sentence = (
-            f"The other ties predict its later keyframe {missed_m:.2g} m and {np.degrees(missed_rad):.0f}° from where "
-            f"it measures that, and may err by {allowed_m:.2g} m."
+            f"The other ties put its later keyframe {metres(missed_m)} and {np.degrees(missed_rad):.0f}° from where "
+            f"the closure does, give or take {metres(allowed_m)}."
         )
     return Term(value=missed_m, log_odds=odds, sentence=sentence)
