@@ -62,7 +62,7 @@ def _updates(data: Path | None) -> Iterator[str]:
 
 def _decisions(data: Path | None) -> Iterator[str]:
     yield "w10000"
-    yield from ["kitti_00", "city10000"] if data is not None else ()
+    yield from ["kitti_00", "intel", "city10000"] if data is not None else ()
 
 
 PARTS: dict[str, Callable[[Path | None], Iterator[str]]] = {

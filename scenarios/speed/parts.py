@@ -12,7 +12,13 @@ import numpy as np
 
 import pgti_gtsam as pgti
 from pgti_gtsam import datasets
+from pgti_gtsam.adapter.values import read_keyframes
 from pgti_gtsam.gate.batch import closure_ends
+from pgti_gtsam.gate.candidates import measured_ties
+from pgti_gtsam.gate.drift_model import drift_model
+from pgti_gtsam.gate.map_with import MapWith
+from pgti_gtsam.gate.terms.contact_rise import local_rise
+from pgti_gtsam.gate.terms.drift import log_odds
 from pgti_gtsam.gate.trial import optimised
 from pgti_gtsam.integrity import STABLE_TIMES, relative_distortion, stable_scores, time_grid
 from pgti_gtsam.optimality import compare_optimality
@@ -30,6 +36,9 @@ SIGHTINGS = 5
 """Landmarks that each keyframe of the synthetic map sees, new or old."""
 
 N_DECISIONS = 10
+
+GATED = {"intel": ("pose_graphs/intel.g2o", 0.5)}
+"""As `solvers.REAL`: graphs that only the gate is timed on."""
 
 
 class Stopwatch:
@@ -130,55 +139,80 @@ def _best_of(count: int, task: Callable[[], object]) -> float:
 
 def decisions(case: str, data: Path) -> list[Row]:
     """True closures taken out of a map and offered again, and false ones, against one optimisation of the map."""
-    if case == "w10000":
-        dataset, radius = datasets.read(Path(gtsam.findExampleDataFile("w10000.graph"))), 0.4
-    else:
-        name, radius = REAL[case]
-        dataset = datasets.read(data / name)
-    if case == "kitti_00":
-        dataset = datasets.subsample(dataset, 5)
-    started = time.process_time()
+    dataset, radius = _gated(case, data)
+    watch = Stopwatch()
     best = optimised(dataset.graph, dataset.values)
-    optimisation = time.process_time() - started
+    watch.look("one optimisation")
     graph, offers = _offers(dataset, best, radius)
     gate = pgti.LoopClosureGate()
-    watch = Stopwatch()
-    survey = gate.survey(graph, best, radius)
-    watch.look("adapting and optimising without the closure")
-    _ = survey.yardstick.at_rest, survey.yardstick.held, survey.contacts, survey.held, survey.strain_m
-    watch.look("contacts and yardstick without the closure")
-    common = {"case": case, "n_keyframes": len(survey.pose_graph), "one_optimisation": optimisation}
-    rows = [{**common, "what": part, "seconds": seconds} for part, seconds in watch.seconds.items()]
+    common = {
+        "case": case,
+        "n_keyframes": len(gate.adapted(graph, best, radius)),
+        "one_optimisation": watch.seconds["one optimisation"],
+    }
+    rows = []
     for kind, closures in offers.items():
-        found = []
+        seconds, accepted = [], 0
         for closure in closures:
             started = time.process_time()
-            decision = gate.judge(survey, closure)
-            spent = decision.seconds
-            found.append(
-                (
-                    time.process_time() - started,
-                    spent.adaptation - survey.seconds[0],
-                    spent.optimisation - survey.seconds[1],
-                    spent.spectra,
-                    decision.accepted,
-                )
-            )
-        whole, adaptation, trial, spectra, accepted = np.array(found).T
+            accepted += gate.evaluate(graph, best, closure, radius).accepted
+            seconds.append(time.process_time() - started)
         rows.append(
             {
                 **common,
                 "what": f"a decision on a {kind} closure",
-                "seconds": float(np.median(whole)),
-                "slowest": float(whole.max()),
-                "adaptation": float(np.median(adaptation)),
-                "optimisation": float(np.median(trial)),
-                "spectra": float(np.median(spectra)),
-                "accepted": int(accepted.sum()),
-                "offered": len(found),
+                "seconds": float(np.median(seconds)),
+                "slowest": max(seconds),
+                "accepted": accepted,
+                "offered": len(seconds),
             }
         )
-    return rows
+    found = [_stages(gate, graph, best, closure, radius) for closure in offers["true"]]
+    parts = {part: float(np.median([seconds[part] for seconds in found])) for part in found[0]}
+    return rows + [{**common, "what": part, "seconds": seconds} for part, seconds in parts.items()]
+
+
+def _gated(case: str, data: Path) -> tuple[datasets.Dataset, float]:
+    """A graph whose closures are judged, and its free radius in m."""
+    if case == "w10000":
+        return datasets.read(Path(gtsam.findExampleDataFile("w10000.graph"))), 0.4
+    name, radius = (REAL | GATED)[case]
+    dataset = datasets.read(data / name)
+    return (datasets.subsample(dataset, 5) if case == "kitti_00" else dataset), radius
+
+
+def _stages(
+    gate: pgti.LoopClosureGate,
+    graph: gtsam.NonlinearFactorGraph,
+    values: gtsam.Values,
+    closure: gtsam.NonlinearFactorGraph,
+    radius: float,
+) -> dict[str, float]:
+    """What each step of a decision on a closure that passes costs, s: the same calls as `LoopClosureGate.judge` has."""
+    # the map without the closure
+    watch = Stopwatch()
+    pose_graph = gate.adapted(graph, values, radius)
+    watch.look("adapting")
+    base = drift_model(graph, values, pose_graph)
+    model = base.extended(measured_ties(closure, read_keyframes(values)))
+    watch.look("drift model")
+    holding = np.arange(len(model.ties.pairs)) < len(base.ties.pairs)
+    settled = model.settled(holding)
+    watch.look("optimum without the closure")
+
+    # what the map predicts of the closure, and the map with it
+    log_odds(model, settled.residuals[~holding], settled.covariances(model.ties.pairs[~holding]))
+    watch.look("weighing")
+    tied = model.settled(np.ones_like(holding), settled)
+    watch.look("optimum with the closure")
+
+    # free space with and without
+    found = MapWith(pose_graph=pose_graph, first=len(base.ties.pairs), beta=gate.options.beta)
+    before, after = found.contacts(settled), found.contacts(tied)
+    watch.look("contacts with and without")
+    local_rise(before, after)
+    watch.look("contact rise, where the drift leaves doubt")
+    return watch.seconds
 
 
 def _offers(
