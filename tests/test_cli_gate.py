@@ -307,4 +307,4 @@ def test_real_loops(run, tmp_path):
     assert code == 0
     assert "known to be true: 6, of which 6 accepted" in said
     assert "known to be false: 118, of which 118 not accepted" in said
-    assert "6 pass, 0 do not" in run("closures", out, "--radius", 4)[1]
+    assert "6 accepted, 0 undecided, 0 rejected" in run("closures", out, "--radius", 4)[1]
