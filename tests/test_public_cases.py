@@ -149,7 +149,7 @@ def test_the_gate_runs_and_judges_the_closure_alone(run, name):
     code, out, _ = run("gate", CASES / name, "--radius", 0.5)
     assert code == 0
     assert "0 – 7" in out
-    assert "1 pass, 0 do not" in out
+    assert "1 accepted, 0 undecided, 0 rejected" in out
 
 
 def test_a_point_that_nothing_sights_is_in_nobodys_way(run, audited):
@@ -166,7 +166,7 @@ def test_a_second_session_is_tied_by_what_may_be_judged(run):
     name = "c61_second_session_tied_by_one_closure_at_its_first_keyframe.g2o"
     code, out, _ = run("gate", CASES / name, "--radius", 0.5)
     assert code == 0
-    assert "2 pass, 0 do not" in out
+    assert "2 accepted, 0 undecided, 0 rejected" in out
 
 
 def test_information_without_heading_is_told_in_words(run):
