@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pgti_gtsam.errors import InvalidGraphError, InvalidValueError, NoPoseError
+from pgti_gtsam.sightings import Sightings
 
 Radii: TypeAlias = float | Mapping[int, float]
 """One radius for all keyframes, or one for each key, m."""
@@ -91,6 +92,8 @@ class PoseGraph:
         of its keyframe j; NaN where an edge has none. A block smaller than d has NaN beyond it.
     adaptation : Adaptation, optional
         How the graph came about.
+    sightings : Sightings, optional
+        Who sees which landmark; None without landmarks.
 
     Raises
     ------
@@ -107,6 +110,7 @@ class PoseGraph:
     edge_slots: tuple[tuple[int, ...], ...] = ()
     edge_information: NDArray[np.float64] | None = None
     adaptation: Adaptation | None = None
+    sightings: Sightings | None = None
 
     def __post_init__(self) -> None:
         keys = _checked_keys(self.keys)

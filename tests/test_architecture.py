@@ -13,8 +13,8 @@ PACKAGE = ROOT / "pgti_gtsam"
 FLOORS = [
     "errors",
     "factor_graphs",
-    "pose_graph",
     "sightings",
+    "pose_graph",
     "track",
     "adapter",
     "support_graph",

@@ -133,6 +133,54 @@ def test_a_track_that_breaks_off_beside_itself_is_a_gap():
     assert found.n_chains == 2
 
 
+def beside(noise=0.002):
+    """A drive around a block and on beside its first street, 4 m from there; keyframes of the two stretches."""
+    corner = streets.turn(np.pi / 2)
+    first, second = streets.straight(60), streets.straight(50)
+    around = [*first, *corner, *streets.straight(60), *corner, *streets.straight(60), *corner, *streets.straight(56)]
+    world = streets.driven([*around, *corner, *second], noise=noise, seed=2)
+    n = len(world.truth)
+    return world, range(len(first)), range(n - len(second), n)
+
+
+def sees(world, keyframes, *walls):
+    """Keyframes see walls beside them ahead, so many metres to the left, below zero to the right: own landmarks."""
+    noise = gtsam.noiseModel.Isotropic.Sigma(2, 0.1)
+    for k in keyframes:
+        for n, at in enumerate((x, y) for y in walls for x in range(1, 17)):
+            key, pose = gtsam.symbol("l", 100 * k + n), world.values.atPose2(k)
+            bearing = gtsam.Rot2.fromAngle(np.arctan2(at[1], at[0]))
+            world.graph.push_back(gtsam.BearingRangeFactor2D(k, key, bearing, np.hypot(*at), noise))
+            world.values.insert(key, pose.transformFrom(np.array(at)))
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "kind", "verdict"),
+    [
+        ((7, -3), (3, -7), "missed closure", "incomplete"),  # one hall
+        ((2, -3), (3, -2), "different view", "consistent"),  # a wall between
+        ((-3,), (3,), "different view", "consistent"),  # one hall, of which one sees the right, the other the left
+        ((), (3, -7), "missed closure", "incomplete"),  # nothing is known of the first view
+    ],
+)
+def test_passes_without_a_common_view_are_nothing_to_tie(first, second, kind, verdict):
+    world, early, late = beside()
+    sees(world, early, *first)
+    sees(world, late, *second)
+    found = diagnosed(world.graph, world.values, 7.0)
+    assert (kinds(found), found.verdict) == ([kind], verdict)
+    assert (found.places[0].proposal is None) == (kind == "different view")
+
+
+def test_a_drift_that_may_hide_a_common_view_leaves_a_pass_untied():
+    world, early, late = beside()
+    sees(world, early, 2, -3)
+    sees(world, late, 3, -2)
+    found = diagnosed(world.graph, world.values)
+    assert found.places[0].allowance_m > found.places[0].reach_m
+    assert (kinds(found), found.verdict) == (["missed closure"], "incomplete")
+
+
 def test_two_parts_in_contact_that_nothing_ties_are_undecided():
     graph, values = straight_map(np.c_[np.arange(40.0), np.zeros(40)])
     other = gtsam.Pose2(3.0, 0.5, 1.0)

@@ -114,6 +114,7 @@ def from_gtsam(
         positions=keyframes.positions,
         radii=all_radii,
         adaptation=_adaptation(reader, sightings, pairs, all_radii, most_shared, enough),
+        sightings=sightings if len(sightings.keyframes) else None,
         **_edge_arrays(reader, pairs, own),
     )
 

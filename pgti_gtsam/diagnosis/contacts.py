@@ -14,6 +14,7 @@ from scipy.special import expit
 
 from pgti_gtsam.diagnosis import words
 from pgti_gtsam.diagnosis.records import Kind, Place, Proposal
+from pgti_gtsam.diagnosis.views import without_common_view
 from pgti_gtsam.gate.drift_model import DriftModel, Settled
 from pgti_gtsam.gate.own_closures import OwnClosures
 from pgti_gtsam.integrity import Distortion, Integrity, relative_distortion
@@ -59,7 +60,8 @@ GRAVITY: dict[Kind, int] = {
     "missed closure": 2,
     "untied second pass": 3,
     "tracking gap": 4,
-    "incomplete fusion": 5,
+    "different view": 5,
+    "incomplete fusion": 6,
 }
 """Order in which places are listed."""
 
@@ -157,8 +159,10 @@ class Contacts:
             kind = "tracking gap"
         elif self._is_folded(contact):
             kind = "likely false closure"
+        elif self._probability(contact) < DECIDED:
+            kind = "undecided contact"
         else:
-            kind = "missed closure" if self._probability(contact) >= DECIDED else "undecided contact"
+            kind = "different view" if self._is_elsewhere(contact) else "missed closure"
         return self._place(kind, contact, self.integrity.collisions)
 
     def _is_gap(self, contact: Revisit) -> bool:
@@ -176,6 +180,13 @@ class Contacts:
         places = np.array([pose.translation() for pose in self.settled.poses])
         reach = self.pose_graph.radii[i] + self.pose_graph.radii[j]
         return not (np.linalg.norm(places[i] - places[j], axis=1) <= reach).any()
+
+    def _is_elsewhere(self, contact: Revisit) -> bool:
+        """Whether the stretches lie where the map says, and nothing that one sees is in view from the other."""
+        sightings, pair = self.pose_graph.sightings, contact.closest
+        if sightings is None or not self._allowance_m(pair) <= UNTIED * self._reach_m(pair):
+            return False
+        return without_common_view(sightings, self.pose_graph.positions, contact.resolved)
 
     def _probability(self, contact: Revisit) -> float:
         """Probability that the two stretches run through the same space; a half where no tie leads between them."""
@@ -242,7 +253,7 @@ class Contacts:
             gain=0.0,
             sentence="",
             remedy="",
-            proposal=None if kind == "incomplete fusion" else self._proposal(contact.closest),
+            proposal=None if kind in ("incomplete fusion", "different view") else self._proposal(contact.closest),
         )
 
         # the words that they make

@@ -19,6 +19,7 @@ Kind = Literal[
     "missed closure",
     "untied second pass",
     "tracking gap",
+    "different view",
     "incomplete fusion",
 ]
 Level = Literal["consistent", "incomplete", "inconsistent", "undecided"]

@@ -38,6 +38,10 @@ def place_words(place: Place, labels: Sequence[str], blamed: tuple[int, int] | N
             f"The track breaks off between {earlier} and {later}, whose spheres meet.",
             f"Tie {first} and {second} by odometry or a match.",
         ),
+        "different view": (
+            f"{later} comes near {earlier}, but they have no common view: a wall or another look lies between.",
+            "Nothing to tie.",
+        ),
         "incomplete fusion": (
             f"{later} and {earlier} overlap at more keyframes than are tied.",
             "Ignore: all of it follows from ties that the map has.",
@@ -63,7 +67,7 @@ def closure_sentence(missed_m: float, missed_deg: float, allowed_m: float, *, is
 
 
 def verdict(integrity: Integrity, places: Sequence[Place], closures: Sequence[ClosureFinding]) -> tuple[Level, str]:
-    """The verdict, and why."""
+    """The verdict, and why. Passes without a common view make no map incomplete: no camera can tie them."""
     if not len(integrity.merged_edges):
         return "undecided", "The pose graph has no edge and no two spheres meet: there is nothing to compare."
     if integrity.n_components_pose_graph == len(integrity.keyframe_scores) > 1:
@@ -87,7 +91,8 @@ def verdict(integrity: Integrity, places: Sequence[Place], closures: Sequence[Cl
     parts_of = integrity.n_components_pose_graph
     apart = f" The pose graph is in {parts_of} parts, whose places to each other nothing says." if parts_of > 1 else ""
     ties = "No closure contradicts the others, and every" if closures else "Every"
-    return "consistent", f"{ties} place where free space meets is tied.{apart}"
+    unseen = " or has no common view" if count.get("different view") else ""
+    return "consistent", f"{ties} place where free space meets is tied{unseen}.{apart}"
 
 
 def _stretch(ends: tuple[int, int], labels: Sequence[str]) -> str:

@@ -23,6 +23,7 @@ _KIND_COLOURS = {
     "missed closure": "cyan",
     "untied second pass": "cyan",
     "tracking gap": "cyan",
+    "different view": "dim",
     "incomplete fusion": "dim",
 }
 

@@ -25,6 +25,7 @@ COLOURS = {
     "missed closure": "tab:blue",
     "untied second pass": "tab:cyan",
     "tracking gap": "tab:purple",
+    "different view": "tab:brown",
     "incomplete fusion": "tab:green",
 }
 

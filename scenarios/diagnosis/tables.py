@@ -9,7 +9,7 @@ from typing import Any
 EXPECTED = ("consistent", "incomplete", "inconsistent")
 VERDICTS = (*EXPECTED, "undecided")
 
-REAL_KINDS = ("missed closure", "untied second pass", "tracking gap", "incomplete fusion")
+REAL_KINDS = ("missed closure", "untied second pass", "tracking gap", "different view", "incomplete fusion")
 CHANCE_KINDS = ("likely false closure",)
 """Kinds of places by whether the contact would be real; the remaining kind decides nothing."""
 
