@@ -65,6 +65,7 @@ def _intact(driven: Course, seen: list[Sightings]) -> Intact:
         places=np.array([pose.translation() for pose in driven.truth]),
         noise=sparse.told(MATCH, driven),
         match=sparse.identity(driven),
+        solid=driven.layout.solid,
     )
 
 

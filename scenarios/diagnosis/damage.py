@@ -12,7 +12,7 @@ import numpy as np
 from pgti_gtsam.factor_graphs import joined
 from pgti_gtsam.gate.trial import optimised
 from scenarios.problem import between
-from scenarios.worlds.solid import Array
+from scenarios.worlds.solid import Array, Solid
 
 NOTHING, DROPPED, FALSE, MANY_FALSE = "nothing", "revisit dropped", "false closure", "false closures"
 DRIFT, ODOMETRY, BACK = "drift", "odometry only", "out and back"
@@ -47,6 +47,8 @@ class Intact:
         Of a closure.
     match : callable
         A pose that the identity is measured as.
+    solid : Solid or None
+        What may hide one place from another; None where it is not known.
     """
 
     base: gtsam.NonlinearFactorGraph
@@ -57,6 +59,7 @@ class Intact:
     places: Array
     noise: gtsam.noiseModel.Base
     match: Callable[[np.random.Generator], Any]
+    solid: Solid | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -67,7 +70,7 @@ class Case:
     ----------
     graph, values, radii
         What `diagnose` gets.
-    places : (n, 3) float
+    places, solid
         As in `Intact`.
     false_slots : tuple of int
         Where the false closures are in the graph.
@@ -78,6 +81,7 @@ class Case:
     radii: float | Mapping[int, float] | None
     places: Array
     false_slots: tuple[int, ...] = ()
+    solid: Solid | None = None
 
 
 def damaged(intact: Intact, damage: str, random: np.random.Generator, keys: Sequence[int], unit_m: float) -> Case:
@@ -126,7 +130,9 @@ def _false_closure(intact: Intact, random: np.random.Generator, keys: Sequence[i
 
 
 def _case(intact: Intact, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, false: tuple[int, ...] = ()) -> Case:
-    return Case(graph=graph, values=values, radii=intact.radii, places=intact.places, false_slots=false)
+    return Case(
+        graph=graph, values=values, radii=intact.radii, places=intact.places, false_slots=false, solid=intact.solid
+    )
 
 
 def _graph(factors: Sequence[Any]) -> gtsam.NonlinearFactorGraph:

@@ -4,7 +4,7 @@ A contact of a map is two stretches of track whose spheres meet although the way
 reach. It is *real* if the two stretches, widened by five keyframes, come within 1.3 times the sum of their radii in the
 truth, else it is chance. A pair of keyframes of a real contact is *tied* if a true closure lies within ten keyframes
 of both, or if even poor odometry would carry the relative position from one to the other along the shortest way of
-true ties more exactly than their spheres reach.
+true ties more exactly than their spheres reach. Where the world is known, pairs that a surface parts need no tie.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class Expectation:
     ----------
     verdict : {"consistent", "incomplete", "inconsistent"}
     n_real, n_chance, n_untied : int
-        Contacts of the map; the untied ones are real.
+        Contacts of the map; the untied ones are real, and in sight of each other.
     loosest : float
         Largest standard deviation of poor odometry along the ties between the two stretches of a real contact that no
         closure ties near by, in the sum of the radii; 0 without any.
@@ -74,7 +74,8 @@ def expected(case: Case, pose_graph: PoseGraph) -> Expectation:
     ties, contacts = _Ties.of(case, pose_graph), _contacts(case, pose_graph)
     apart = np.array([nearest(gaps, stretches(pairs)) for pairs in contacts])
     real = [pairs for pairs, gap in zip(contacts, apart, strict=True) if gap <= REAL_WITHIN]
-    loose = [ties.looseness(_some(pairs)) for pairs in real]
+    seen = [pairs for pairs in (_in_sight(case, pairs) for pairs in real) if len(pairs)]
+    loose = [ties.looseness(_some(pairs)) for pairs in seen]
     n_untied, n_chance = sum(value > LOOSE for value in loose), len(contacts) - len(real)
     verdict = "inconsistent" if n_chance or case.false_slots else "incomplete" if n_untied else "consistent"
     return Expectation(
@@ -161,6 +162,12 @@ def _measured(pose_graph: PoseGraph, false: Pairs, *, odometry: bool) -> Pairs:
 def _false_pairs(case: Case, pose_graph: PoseGraph) -> Pairs:
     keys = [sorted(case.graph.at(slot).keys()) for slot in case.false_slots]
     return np.searchsorted(pose_graph.keys, np.array(keys, dtype=np.uint64).reshape(-1, 2)).astype(np.int64)
+
+
+def _in_sight(case: Case, pairs: Pairs) -> Pairs:
+    """Pairs that no surface parts; all where the world is not known."""
+    i, j = pairs.T
+    return pairs if case.solid is None else pairs[~case.solid.parts(case.places[i], case.places[j])]
 
 
 def _some(pairs: Pairs) -> Pairs:

@@ -29,6 +29,9 @@ VARIANTS = ("covisible", "narrow")
 CAMERA = replace(sensors.CAMERA, half_width_rad=float(np.radians(25)), elevations_rad=(-np.radians(19), np.radians(19)))
 """A field of view of 50° by 38°, a picture of 4 to 3; that of `sensors.CAMERA` is 100° by 70°."""
 
+KINDS = ("missed closure", "different view")
+"""Those between which the view tells."""
+
 TURNED = float(np.radians(60))
 """Angle between two looks from which they have nothing in common, rad."""
 
@@ -39,14 +42,18 @@ def case(world: str, seed: int, kind: str) -> Case:
 
 
 def overlaps(world: str, seed: int, found: Diagnosis) -> dict[str, Any]:
-    """Overlaps that are no edges: how many, of cameras that look elsewhere, and through a wall; the same of places."""
+    """Overlaps that are no edges: how many, of cameras that look elsewhere, and through a wall; places of two kinds.
+
+    Of the places: how many are of the kind, and how many of these a camera could tie.
+    """
     driven, integrity = course(world, seed), found.integrity
     counts: dict[str, Any] = {}
     for name, pairs in (("fusion", integrity.fusion_edges), ("collision", integrity.collision_edges)):
         counts |= {name: len(pairs), f"{name}_turned": int((turns(driven, pairs) > TURNED).sum())}
         counts[f"{name}_walled"] = int(walled(driven, pairs).sum())
-    missed = [place for place in found.places if place.kind == "missed closure"]
-    counts["missed_walled"] = sum(bool(walled(driven, place.edges).all()) for place in missed)
+    for kind in KINDS:
+        own = [place for place in found.places if place.kind == kind]
+        counts[kind] = [len(own), sum(can_be_tied(driven, place.edges) for place in own)]
     return counts
 
 
@@ -61,10 +68,12 @@ def walled(driven: Course, pairs: Pairs) -> NDArray[np.bool_]:
     """Whether a surface parts the true places of two keyframes, (k,) bool."""
     places = np.array([pose.translation() for pose in driven.truth])
     i, j = pairs.T
-    way = places[j] - places[i]
-    away = np.linalg.norm(way, axis=1)
-    directions = way / np.maximum(away, np.finfo(float).tiny)[:, None]
-    return np.asarray(driven.layout.solid.cast(places[i], directions).distances < away)
+    return driven.layout.solid.parts(places[i], places[j])
+
+
+def can_be_tied(driven: Course, pairs: Pairs) -> bool:
+    """Whether some pair of keyframes can see the same: no surface between, and looks that are not far apart."""
+    return bool((~walled(driven, pairs) & (turns(driven, pairs) <= TURNED)).any())
 
 
 def paired(rows: Sequence[dict[str, Any]]) -> Iterator[str]:
@@ -90,7 +99,6 @@ def _counts(rows: Sequence[dict[str, Any]]) -> dict[str, str]:
         sum(row[f"{name}_{what}"] for row in intact for name in ("fusion", "collision"))
         for what in ("turned", "walled")
     )
-    missed = sum(row["kinds"].get("missed closure", 0) for row in intact)
     return {
         "maps": str(len(rows)),
         "verdict right, undecided, wrong": f"{right}, {open_}, {len(rows) - right - open_}",
@@ -102,6 +110,11 @@ def _counts(rows: Sequence[dict[str, Any]]) -> dict[str, str]:
         "intact, looks more than 60° apart": str(turned),
         "intact, through a wall": str(wall),
         "intact, explained and through a wall": str(sum(row["fusion_walled"] for row in intact)),
-        "intact, places called missed closure": str(missed),
-        "of these places, through a wall alone": str(sum(row["missed_walled"] for row in intact)),
+        **{
+            f"{kept}, called {kind}: places, a camera could tie": "{}, {}".format(
+                *(sum(row[kind][k] for row in rows if row["damage"] == kept) for k in range(2))
+            )
+            for kept in (damage.NOTHING, damage.ODOMETRY)
+            for kind in KINDS
+        },
     }

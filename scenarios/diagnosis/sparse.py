@@ -50,6 +50,7 @@ def intact(driven: Course, random: np.random.Generator, *, with_ties: bool = Tru
         places=np.array([pose.translation() for pose in driven.truth]),
         noise=noise,
         match=identity(driven),
+        solid=driven.layout.solid if with_ties else None,  # a drive out and back is in no world
     )
 
 

@@ -52,6 +52,12 @@ class Solid:
             points = origins + distances[:, None] * directions
         return Hits(points=points, normals=normals, distances=distances)
 
+    def parts(self, places: Array, others: Array) -> NDArray[np.bool_]:
+        """Whether a surface lies between (n, 3) m and (n, 3) m, one by one: (n,) bool."""
+        away = np.linalg.norm(others - places, axis=1)
+        directions = (others - places) / np.maximum(away, np.finfo(float).tiny)[:, None]
+        return np.asarray(self.cast(places, directions).distances < away)
+
     def draw(self, random: np.random.Generator, per_m2: float) -> tuple[Array, Array]:
         """Points drawn evenly from all surfaces, (n, 3) m, and the (n, 3) unit normals there."""
         across = np.cross(self.faces[:, 1], self.faces[:, 2])
