@@ -101,9 +101,10 @@ def _wandered(pointed: Array, gathered: Array, chains: NDArray[np.int64]) -> flo
     gap = len(pointed) // 2
     while gap:
         changes = np.square(pointed[gap:] - pointed[:-gap]).sum(axis=1)
-        known = (chains[gap:] == chains[:-gap]) & (gathered[gap:] > gathered[:-gap])
+        more = gathered[gap:] - gathered[:-gap]
+        known = (chains[gap:] == chains[:-gap]) & (more > 0)
         if known.sum() >= PAIRS:
-            return float(np.median((changes / (gathered[gap:] - gathered[:-gap]))[known]) / MEDIAN)
+            return float(np.median(changes[known] / more[known]) / MEDIAN)
         gap //= 2
     return np.inf
 
