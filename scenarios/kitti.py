@@ -19,7 +19,7 @@ import pgti_gtsam as pgti
 from pgti_gtsam import datasets
 from pgti_gtsam.datasets import Dataset
 from pgti_gtsam.errors import InvalidOptionError
-from pgti_gtsam.gate.trial import optimised
+from pgti_gtsam.estimate import optimised
 from scenarios.measures import trajectory_errors
 
 EVERY, RADIUS_M = 5, 4.0

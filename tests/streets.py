@@ -72,3 +72,13 @@ def ramp(side, rise, floors):
     lap = [*flat, *corner] * 4
     climb = rise / len(lap)
     return [gtsam.Pose3(step.rotation(), step.translation() + [0, 0, climb]) for step in lap] * floors
+
+
+def optimum(graph, values):
+    """Of a caller's graph, its first keyframe held."""
+    first = next(iter(values.keys()))
+    held = gtsam.NonlinearFactorGraph(graph)
+    planar = gtsam.utilities.allPose2s(values).size() > 0
+    prior, pose = (gtsam.PriorFactorPose2, values.atPose2) if planar else (gtsam.PriorFactorPose3, values.atPose3)
+    held.push_back(prior(first, pose(first), gtsam.noiseModel.Isotropic.Sigma(3 if planar else 6, 1e-3)))
+    return gtsam.LevenbergMarquardtOptimizer(held, values).optimize()

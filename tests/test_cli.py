@@ -1,7 +1,6 @@
 """The command line as a person uses it: output, files, exit codes, and one line for every bad input."""
 
 import json
-import sys
 from pathlib import Path
 
 import gtsam
@@ -9,7 +8,7 @@ import numpy as np
 import pytest
 from gtsam.symbol_shorthand import X
 
-from pgti_gtsam import cli, datasets
+from pgti_gtsam import datasets
 from pgti_gtsam.datasets import formats
 
 SQUARE = """VERTEX_SE2 0 0 0 0
@@ -23,19 +22,6 @@ EDGE_SE2 2 3 5 0 1.57 1 0 0 1 0 1
 EDGE_SE2 3 4 4.5 0 0 1 0 0 1 0 1
 """
 DATA = Path(__file__).parents[2] / "shared" / "data"
-
-
-@pytest.fixture
-def run(monkeypatch, capsys):
-    """Run the command line in this process: exit code, standard output, standard error."""
-
-    def call(*words):
-        monkeypatch.setattr(sys, "argv", ["pgti-gtsam", *map(str, words)])
-        with pytest.raises(SystemExit) as stop:
-            cli.main()
-        return stop.value.code or 0, *capsys.readouterr()
-
-    return call
 
 
 @pytest.fixture

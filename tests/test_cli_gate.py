@@ -1,7 +1,6 @@
 """`pgti-gtsam gate` and `closures`: what they print, write and refuse."""
 
 import json
-import sys
 from pathlib import Path
 
 import gtsam
@@ -10,26 +9,13 @@ import pytest
 from gtsam.symbol_shorthand import X
 from streets import RADIUS, block, driven
 
-from pgti_gtsam import cli, datasets
+from pgti_gtsam import datasets
 
 LAP = 4 * 22  # steps around a block of 40 m
 TRUE = [(20 + k, 20 + k + LAP) for k in range(0, 9, 3)]
 FALSE = [(5, 60), (12, 130)]
 NOWHERE = gtsam.Pose2()
 KITTI = Path(__file__).parents[2] / "shared" / "data" / "kitti_robustslam" / "07" / "kitti_07_alpha_0.25.g2o"
-
-
-@pytest.fixture
-def run(monkeypatch, capsys):
-    """Run the command line in this process: exit code, standard output, standard error."""
-
-    def call(*words):
-        monkeypatch.setattr(sys, "argv", ["pgti-gtsam", *map(str, words)])
-        with pytest.raises(SystemExit) as stop:
-            cli.main()
-        return stop.value.code or 0, *capsys.readouterr()
-
-    return call
 
 
 @pytest.fixture(scope="module")

@@ -3,14 +3,13 @@
 import json
 import sqlite3
 import struct
-import sys
 import zlib
 
 import gtsam
 import numpy as np
 import pytest
 
-from pgti_gtsam import cli, datasets
+from pgti_gtsam import datasets
 from pgti_gtsam.datasets.chain import poses_of
 from pgti_gtsam.errors import FileFormatError
 
@@ -104,19 +103,6 @@ def laps(tmp_path):
     database.link(12, 50, 5, truth(11).between(truth(49)))
     database.close()
     return path
-
-
-@pytest.fixture
-def run(monkeypatch, capsys):
-    """Run the command line in this process: exit code, standard output, standard error."""
-
-    def call(*words):
-        monkeypatch.setattr(sys, "argv", ["pgti-gtsam", *map(str, words)])
-        with pytest.raises(SystemExit) as stop:
-            cli.main()
-        return stop.value.code or 0, *capsys.readouterr()
-
-    return call
 
 
 def test_a_database_is_a_graph_whose_links_are_told_by_type(laps):

@@ -8,8 +8,7 @@ import streets
 import pgti_gtsam as pgti
 from pgti_gtsam.diagnosis.proposals import proposal_graph
 from pgti_gtsam.errors import NoRadiusError
-from pgti_gtsam.estimate import convergence
-from pgti_gtsam.gate.trial import optimised
+from pgti_gtsam.estimate import convergence, optimised
 from pgti_gtsam.places import tied_radius_m
 
 RADIUS = 3.0

@@ -8,7 +8,7 @@ import pytest
 
 import pgti_gtsam as pgti
 from pgti_gtsam import datasets
-from pgti_gtsam.gate.trial import optimised
+from pgti_gtsam.estimate import optimised
 
 DATA = Path(__file__).parents[1] / "../shared/data"
 

@@ -19,17 +19,8 @@ def model_of(world, closures=()):
     graph = gtsam.NonlinearFactorGraph(world.graph)
     for closure in closures:
         graph.push_back(closure)
-    values = optimum(graph, world.values)
+    values = streets.optimum(graph, world.values)
     return drift_model(graph, values, pgti.from_gtsam(graph, values, radii=RADIUS))
-
-
-def optimum(graph, values):
-    first = next(iter(values.keys()))
-    held = gtsam.NonlinearFactorGraph(graph)
-    planar = gtsam.utilities.allPose2s(values).size() > 0
-    prior, pose = (gtsam.PriorFactorPose2, values.atPose2) if planar else (gtsam.PriorFactorPose3, values.atPose3)
-    held.push_back(prior(first, pose(first), gtsam.noiseModel.Isotropic.Sigma(3 if planar else 6, 1e-3)))
-    return gtsam.LevenbergMarquardtOptimizer(held, values).optimize()
 
 
 def test_a_straight_chain_drifts_as_white_steps_do():

@@ -31,17 +31,7 @@ def drawn(kind, seed, n_true, *, is_torn):
     graph = gtsam.NonlinearFactorGraph(world.graph)
     for closure in closures:
         graph.push_back(closure)
-    return graph, optimum(graph, world.values)
-
-
-def optimum(graph, values):
-    """Of a caller's graph, its first keyframe held."""
-    first = next(iter(values.keys()))
-    held = gtsam.NonlinearFactorGraph(graph)
-    planar = gtsam.utilities.allPose2s(values).size() > 0
-    prior, pose = (gtsam.PriorFactorPose2, values.atPose2) if planar else (gtsam.PriorFactorPose3, values.atPose3)
-    held.push_back(prior(first, pose(first), gtsam.noiseModel.Isotropic.Sigma(3 if planar else 6, 1e-3)))
-    return gtsam.LevenbergMarquardtOptimizer(held, values).optimize()
+    return graph, streets.optimum(graph, world.values)
 
 
 def settled_by_gtsam(model, start, active):

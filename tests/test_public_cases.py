@@ -4,14 +4,13 @@ The files lie beside the checkout; laws that need no file stand in `test_dataset
 """
 
 import json
-import sys
 from pathlib import Path
 
 import gtsam
 import numpy as np
 import pytest
 
-from pgti_gtsam import cli, datasets
+from pgti_gtsam import datasets
 from pgti_gtsam.datasets.chain import between_factors, poses_of
 
 CASES = Path(__file__).parents[1] / ".." / "shared" / "data" / "public_cases"
@@ -51,19 +50,6 @@ REFUSED = {
     "c47_pose_labels.csv": "looks like a table with commas",
     "c50_nan_vertex.g2o": "line 8: expected a finite number, got 'nan'",
 }
-
-
-@pytest.fixture
-def run(monkeypatch, capsys):
-    """Run the command line in this process: exit code, standard output, standard error."""
-
-    def call(*words):
-        monkeypatch.setattr(sys, "argv", ["pgti-gtsam", *map(str, words)])
-        with pytest.raises(SystemExit) as stop:
-            cli.main()
-        return stop.value.code or 0, *capsys.readouterr()
-
-    return call
 
 
 @pytest.fixture

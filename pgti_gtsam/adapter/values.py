@@ -68,9 +68,13 @@ class Keyframes:
     poses: dict[int, Any]
     values: gtsam.Values
 
+    def pose(self, key: int) -> Any:
+        """The Pose2 or Pose3 of a keyframe."""
+        return self.poses.get(key) or typed_value(self.values, "Pose3", key) or self.values.atPose2(key)
+
     def to_world(self, key: int, point: NDArray[np.float64]) -> NDArray[np.float64]:
         """World coordinates, (3,), of a point given in the frame of a keyframe, (2,) or (3,)."""
-        pose = self.poses.get(key) or typed_value(self.values, "Pose3", key) or self.values.atPose2(key)
+        pose = self.pose(key)
         placed = pose.transformFrom(point[: 2 if isinstance(pose, gtsam.Pose2) else 3])
         return in_space(placed)
 

@@ -33,7 +33,7 @@ from pgti_gtsam.diagnosis import Diagnosis
 from pgti_gtsam.diagnosis.proposals import proposal_graph
 from pgti_gtsam.diagnosis.sweep import radius_sweep
 from pgti_gtsam.errors import InvalidOptionError
-from pgti_gtsam.gate.trial import optimised
+from pgti_gtsam.estimate import optimised
 from pgti_gtsam.places import tied_radius_m
 from pgti_gtsam.report import scene
 from pgti_gtsam.report.document import Document, audit_document, sweep_rows, write_json

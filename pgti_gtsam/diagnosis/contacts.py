@@ -113,7 +113,7 @@ class Contacts:
         # group the collisions, and the explained overlaps that no tie near by holds
         track, fusion = track_of(pose_graph), integrity.fusion_edges
         places, collisions = places_on(pose_graph, track), revisits(pose_graph, integrity, track)
-        far = fusion[places[fusion[:, 1]] - places[fusion[:, 0]] > 2.0]
+        far = fusion[np.abs(np.diff(places[fusion], axis=1)[:, 0]) > 2.0]
         loose = far[~_tied_near_by(far, pose_graph.radii, model, closures.settled.active)]
         near_by = neighbourhoods(loose, places, SAMPLED)
         codes, lengths = _pass_lengths(np.concatenate([integrity.collision_edges, loose]), track, places)

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import gtsam
 
-from pgti_gtsam.adapter.values import read_keyframes, typed_value
+from pgti_gtsam.adapter.values import read_keyframes
 from pgti_gtsam.diagnosis.records import Diagnosis
+from pgti_gtsam.factor_graphs import between_factor
 
 
 def proposal_graph(diagnosis: Diagnosis, values: gtsam.Values) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
@@ -26,9 +27,8 @@ def proposal_graph(diagnosis: Diagnosis, values: gtsam.Values) -> tuple[gtsam.No
         if place.proposal is None:
             continue
         pose, (i, j) = place.proposal.pose, (keys[k] for k in place.proposal.keyframes)
-        between = gtsam.BetweenFactorPose2 if isinstance(pose, gtsam.Pose2) else gtsam.BetweenFactorPose3
-        graph.push_back(between(i, j, pose, gtsam.noiseModel.Gaussian.Covariance(place.proposal.covariance)))
+        graph.push_back(between_factor(i, j, pose, gtsam.noiseModel.Gaussian.Covariance(place.proposal.covariance)))
         for key in (i, j):
             if not poses.exists(key):
-                poses.insert(key, keyframes.poses.get(key) or typed_value(values, "Pose2", key) or values.atPose3(key))
+                poses.insert(key, keyframes.pose(key))
     return graph, poses

@@ -139,8 +139,8 @@ class Admission:
         """By the map as it is: single closures at once, revisits one by one."""
         ties, single = self.model.ties, [each for each in asked if len(each.ties) == 1]
         own = np.array([each.ties[0] for each in single], dtype=np.int64)
-        spreads = self.settled.covariances(ties.pairs[own])
-        odds = log_odds(self.model, self.settled.residuals[own], self._poorer * spreads)
+        spreads = self._poorer * self.settled.covariances(ties.pairs[own])
+        odds = log_odds(self.model, self.settled.residuals[own], spreads)
         for each, residual, spread, found in zip(single, self.settled.residuals[own], spreads, odds, strict=True):
             self._note(each, residual, spread, float(found))
 
@@ -149,7 +149,7 @@ class Admission:
         members = [_some(each.ties) for each in rest]
         joint = self.settled.joint_covariances([ties.pairs[some] for some in members])
         for each, some, spread in zip(rest, members, joint, strict=True):
-            self._weigh(each, some, self.settled.residuals[some], spread)
+            self._weigh(each, some, self.settled.residuals[some], self._poorer * spread)
 
     def _one_by_one(self, passing: list[Weight]) -> list[Weight]:
         """Those of some that pass given the ones before, the surest first, as far as linear predictions hold.
@@ -158,7 +158,7 @@ class Admission:
         """
         members, d = [_some(each.ties) for each in passing], len(self.model.spread)
         pairs = np.concatenate([self.model.ties.pairs[own] for own in members])
-        spread = self.settled.joint_covariances([pairs])[0]
+        spread = self._poorer * self.settled.joint_covariances([pairs])[0]
         missed = np.concatenate([self.settled.residuals[own].ravel() for own in members])
         tolerance = self.model.variances(OFFSET, OFFSET_RAD)
         known, ends = np.empty((len(missed), 0)), d * np.cumsum([0, *map(len, members)])
@@ -191,7 +191,7 @@ class Admission:
         odds = np.nan
         if np.isfinite(spread).all():
             later = self.model.ties.pairs[own, 1].tolist()
-            odds = log_odds_together(self.model, self.settled.poses, later, missed, self._poorer * spread)
+            odds = log_odds_together(self.model, self.settled.poses, later, missed, spread)
             odds += AGREES * (len(own) - 1)
         middle, d = len(own) // 2, missed.shape[1]
         inner = slice(middle * d, (middle + 1) * d)
@@ -202,10 +202,10 @@ class Admission:
         each.drift = odds
         each.missed_m = float(np.linalg.norm(missed[place]))
         each.missed_rad = float(np.linalg.norm(np.delete(missed, np.arange(len(missed))[place])))
-        each.allowed_m = float(self.settled.allowances_m(self._poorer * spread[None])[0])
+        each.allowed_m = float(self.settled.allowances_m(spread[None])[0])
 
     def _take(self, chosen: Sequence[Weight]) -> bool:
-        """Tie revisits, but for those that the free space speaks against; whether any stays."""
+        """Tie revisits, but for those that the free space speaks against, which are refused; whether there were any."""
         if not chosen:
             return False
         before, start = self._contacts or self.contacts_of(self.settled), self.settled

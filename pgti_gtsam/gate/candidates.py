@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from pgti_gtsam.adapter.values import Keyframes, typed_value
 from pgti_gtsam.errors import UnsolvableGraphError
+from pgti_gtsam.estimate import optimised
 from pgti_gtsam.factor_graphs import BETWEEN, factors_of, graph_of, keys_of, measured_from
 from pgti_gtsam.gate.drift_model import Settled
 from pgti_gtsam.gate.revisits import revisits
-from pgti_gtsam.gate.trial import optimised
 
 AGREEMENT, AGREEMENT_RAD = 0.5, 0.35
 """How far apart two closures of a revisit may put a place and still say the same, in ρ and in rad."""
@@ -64,10 +64,10 @@ def implied_tie(
     first = min(known, key=lambda key: (-known[key], keyframes.index[key]))
 
     # where they put the keyframe, seen from there
-    placed = _placed(closure, keyframes, second, [_pose(keyframes, second), _pose(keyframes, first)], unit_m)
+    placed = _placed(closure, keyframes, second, [keyframes.pose(second), keyframes.pose(first)], unit_m)
     if placed is None:
         return None
-    i, j, measured = keyframes.index[first], keyframes.index[second], _pose(keyframes, first).between(placed)
+    i, j, measured = keyframes.index[first], keyframes.index[second], keyframes.pose(first).between(placed)
     return (i, j, measured) if i < j else (j, i, measured.inverse())
 
 
@@ -101,10 +101,6 @@ def _placed(
         return None
     best = min(found, key=lambda each: each[0])[1]
     return best.atPose2(key) if isinstance(starts[0], gtsam.Pose2) else best.atPose3(key)
-
-
-def _pose(keyframes: Keyframes, key: int) -> Any:
-    return keyframes.poses.get(key) or typed_value(keyframes.values, "Pose2", key) or keyframes.values.atPose3(key)
 
 
 _PRIORS: dict[str, Any] = {

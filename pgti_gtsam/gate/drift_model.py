@@ -20,10 +20,11 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from pgti_gtsam.adapter.values import Keyframes, read_keyframes, typed_value
+from pgti_gtsam.adapter.values import read_keyframes
 from pgti_gtsam.errors import UnsolvableGraphError
+from pgti_gtsam.estimate import optimised
+from pgti_gtsam.factor_graphs import between_factor, factors_of, keys_of
 from pgti_gtsam.gate.ties import Ties, adjoints, alike, closures_of, errors_of, free_space_unit, ties_of, variances_of
-from pgti_gtsam.gate.trial import optimised
 from pgti_gtsam.gate.upright import chained, upright
 from pgti_gtsam.places import places_on
 from pgti_gtsam.pose_graph import PoseGraph
@@ -162,13 +163,12 @@ class DriftModel:
 
     def _optimum(self, active: NDArray[np.bool_], component: NDArray[np.int32], start: Sequence[Any]) -> list[Any]:
         """Poses by Levenberg-Marquardt: damped, for false closures tear at the map."""
-        between = gtsam.BetweenFactorPose2 if self.is_planar else gtsam.BetweenFactorPose3
         prior = gtsam.PriorFactorPose2 if self.is_planar else gtsam.PriorFactorPose3
         model = gtsam.noiseModel.Diagonal.Variances
         graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
         for k in np.flatnonzero(active).tolist():
             i, j = self.ties.pairs[k].tolist()
-            graph.push_back(between(i, j, self.ties.measured[k], model(self.ties.variances[k])))
+            graph.push_back(between_factor(i, j, self.ties.measured[k], model(self.ties.variances[k])))
         for i in self._fixed(component).tolist():
             graph.push_back(prior(i, start[i], model(self.variances(ANCHOR, ANCHOR))))
         for i, pose in enumerate(start):
@@ -317,7 +317,7 @@ def drift_model(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, pose_gr
         No keyframe has a radius.
     """
     unit, keyframes = free_space_unit(pose_graph), read_keyframes(values)
-    poses = alike([_pose(keyframes, int(key)) for key in pose_graph.keys])
+    poses = alike([keyframes.pose(int(key)) for key in pose_graph.keys])
     ties = ties_of(graph, pose_graph, poses, unit)
     levelling: Any = gtsam.Pose2()
 
@@ -347,17 +347,11 @@ def _parted(pose: Any) -> Array:
 def _held(graph: gtsam.NonlinearFactorGraph, index: dict[int, int]) -> NDArray[np.bool_]:
     """Keyframes with a factor of their own."""
     held = np.zeros(len(index), dtype=bool)
-    for slot in range(graph.size()):
-        factor = graph.at(slot)
-        keys = [] if factor is None else factor.keys()
+    for factor in factors_of(graph):
+        keys = keys_of(factor)
         if len(keys) == 1 and keys[0] in index and isinstance(factor, _HOLDING):
             held[index[keys[0]]] = True
     return held
 
 
 _HOLDING = (gtsam.PriorFactorPose2, gtsam.PriorFactorPose3, gtsam.GPSFactor)
-
-
-def _pose(keyframes: Keyframes, key: int) -> Any:
-    """The Pose2 or Pose3 of a keyframe."""
-    return keyframes.poses.get(key) or typed_value(keyframes.values, "Pose2", key) or keyframes.values.atPose3(key)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pgti_gtsam.errors import NoRadiusError
+from pgti_gtsam.factor_graphs import measured_from
 from pgti_gtsam.gate.upright import Upright
 from pgti_gtsam.pose_graph import EdgeSource, PoseGraph
 
@@ -92,11 +93,8 @@ def ties_of(graph: gtsam.NonlinearFactorGraph, pose_graph: PoseGraph, poses: Seq
         if not source & (EdgeSource.BETWEEN | EdgeSource.COVISIBILITY):
             continue
         is_skip = bool(source & EdgeSource.SKIP)
-        found = [
-            (z, -1 if is_skip else slot)
-            for slot in slots
-            if (z := _measured(graph.at(slot), keys[i], planar)) is not None
-        ]
+        measured = [(measured_from(graph.at(slot), keys[i]), -1 if is_skip else slot) for slot in slots]
+        found = [(_alike(z, planar), slot) for z, slot in measured if z is not None]
 
         # a step of the track drifts with its length
         if source & EdgeSource.ODOMETRY:
@@ -120,15 +118,6 @@ def ties_of(graph: gtsam.NonlinearFactorGraph, pose_graph: PoseGraph, poses: Seq
     )
 
 
-def _measured(factor: Any, first: int, planar: bool) -> Any | None:
-    """Relative pose that a factor measures from its key `first` to the other; None where it measures no whole pose."""
-    if not isinstance(factor, gtsam.BetweenFactorPose2 | gtsam.BetweenFactorPose3):
-        return None
-    z = factor.measured()
-    z = z if planar or isinstance(z, gtsam.Pose3) else gtsam.Pose3(z)
-    return z if factor.keys()[0] == first else z.inverse()
-
-
 def free_space_unit(pose_graph: PoseGraph) -> float:
     """ρ: the median of the positive radii, m.
 
@@ -145,7 +134,7 @@ def free_space_unit(pose_graph: PoseGraph) -> float:
 
 def closures_of(offered: Sequence[tuple[int, int, Any]], unit: float, levelling: Any, *, is_planar: bool) -> Ties:
     """Closures as ties, numbered in their order; poses of the plane become poses in space where the map is there."""
-    poses = [z if is_planar or isinstance(z, gtsam.Pose3) else gtsam.Pose3(z) for _, _, z in offered]
+    poses = [_alike(z, is_planar) for _, _, z in offered]
     tolerance = variances_of(OFFSET * unit, OFFSET_RAD, is_planar=is_planar)
     return Ties(
         pairs=np.array([tie[:2] for tie in offered], dtype=np.int64).reshape(-1, 2),
@@ -154,6 +143,11 @@ def closures_of(offered: Sequence[tuple[int, int, Any]], unit: float, levelling:
         slots=np.arange(len(offered)),
         drifts=np.zeros(len(offered)),
     )
+
+
+def _alike(pose: Any, is_planar: bool) -> Any:
+    """A pose of the plane as one in space where the map is there."""
+    return pose if is_planar or isinstance(pose, gtsam.Pose3) else gtsam.Pose3(pose)
 
 
 def variances_of(length_m: float, angle: float, *, is_planar: bool) -> Array:

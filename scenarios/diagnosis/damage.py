@@ -9,8 +9,8 @@ from typing import Any
 import gtsam
 import numpy as np
 
+from pgti_gtsam.estimate import optimised
 from pgti_gtsam.factor_graphs import joined
-from pgti_gtsam.gate.trial import optimised
 from scenarios.problem import between
 from scenarios.worlds.solid import Array, Solid
 

@@ -12,7 +12,7 @@ import numpy as np
 from pgti_gtsam import datasets
 from pgti_gtsam.datasets.chain import poses_of
 from pgti_gtsam.errors import FileFormatError
-from pgti_gtsam.gate.trial import optimised
+from pgti_gtsam.estimate import optimised
 from scenarios.diagnosis import damage
 from scenarios.diagnosis.damage import Case, Intact
 from scenarios.diagnosis.stretches import grouped

@@ -16,7 +16,7 @@ from scipy.sparse.linalg import eigsh
 
 import pgti_gtsam as pgti
 from pgti_gtsam import datasets
-from pgti_gtsam.gate.trial import optimised
+from pgti_gtsam.estimate import optimised
 from pgti_gtsam.integrity import STABLE_TIMES, relative_distortion, time_grid
 from pgti_gtsam.spectral.heat_kernel import heat_kernels
 from pgti_gtsam.spectral.laplacian import adjacency, laplacian
