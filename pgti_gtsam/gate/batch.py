@@ -11,7 +11,7 @@ import numpy as np
 from pgti_gtsam.adapter.values import typed_value
 from pgti_gtsam.errors import InvalidOptionError
 from pgti_gtsam.estimate import optimised
-from pgti_gtsam.factor_graphs import BETWEEN, check_map, graph_of, without
+from pgti_gtsam.factor_graphs import BETWEEN, check_map, checked_closure, graph_of, without
 from pgti_gtsam.gate.decision import ClosureDecision
 from pgti_gtsam.gate.drift_model import Settled
 from pgti_gtsam.gate.gate import LoopClosureGate
@@ -99,8 +99,9 @@ def gate_graph(
     slots = list(closure_ends(whole, graph, closures))
     alone = without(graph, slots)
     _check_tied(alone, whole)
-    offered = [graph_of([graph.at(slot)]) for slot in slots]
-    judged = gate.judge(alone, values, offered, radii, odometry_is_sure=closures is not None, progress=progress)
+    offered = [checked_closure(graph.at(slot), values) for slot in slots]
+    reference = gate.reference_map(alone, values, radii, None if closures is None else ())
+    judged = gate.judge(reference, offered, progress)
     decisions = dict(zip(slots, judged.decisions, strict=True))
     passed = without(graph, [slot for slot, decision in decisions.items() if not decision.accepted])
     return GatedGraph(graph=passed, values=_optimum(passed, values, judged.settled, whole), decisions=decisions)

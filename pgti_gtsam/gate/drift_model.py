@@ -152,12 +152,14 @@ class DriftModel:
                 "expected odometry and closures that fix every keyframe, got a singular information matrix; "
                 "look for closures with measurements far beyond the map"
             ) from error
+        steps = solve(factor, pull)
         return Settled(
             model=self,
             active=active,
             poses=tuple(poses),
             component=self._placed(component),
-            residuals=self._residuals(poses, solve(factor, pull)),
+            steps=steps,
+            residuals=_residuals(ties, poses, steps),
             factor=factor,
         )
 
@@ -178,13 +180,6 @@ class DriftModel:
         )
         at = found.atPose2 if self.is_planar else found.atPose3
         return [at(i) for i in range(len(start))]
-
-    def _residuals(self, poses: Sequence[Any], steps: Array) -> Array:
-        """Error of every tie after a last, linear step: e + δ_j − A δ_i."""
-        i, j = self.ties.pairs.T
-        carried = adjoints(poses, self.ties.pairs) @ steps[i][:, :, None]
-        errors = errors_of(poses, self.ties.pairs, self.ties.measured)
-        return np.asarray(errors + steps[j] - carried[:, :, 0])
 
     def _anchors(self, component: NDArray[np.int32]) -> Array:
         """Diagonal blocks of what holds keyframes in the world: one of every part, and `held` ones."""
@@ -230,8 +225,10 @@ class Settled:
     poses : tuple of n gtsam.Pose2 or gtsam.Pose3
     component : (n,) int
         Connected part of every keyframe.
+    steps : (n, d) float
+        δ, a last, linear step of every keyframe.
     residuals : (m, d) float
-        Error of every tie.
+        Error of every tie after it.
     factor : BlockFactor
         Of the information matrix.
     """
@@ -240,6 +237,7 @@ class Settled:
     active: NDArray[np.bool_]
     poses: tuple[Any, ...]
     component: NDArray[np.int32]
+    steps: Array
     residuals: Array
     factor: BlockFactor
 
@@ -249,9 +247,16 @@ class Settled:
         found = own_products(self.factor, pairs, self._jacobians(pairs))
         return np.where((self.component[i] == self.component[j])[:, None, None], found, np.nan)
 
-    def missed(self, pairs: NDArray[np.int64], measured: Sequence[Any]) -> Array:
-        """What the ties predict of some relative poses, seen from what was measured of them, (k, d)."""
-        return errors_of(self.poses, pairs, measured)
+    def extended(self, offered: Sequence[tuple[int, int, Any]]) -> Settled:
+        """The same optimum of a model with more ties, which do not hold yet: see `DriftModel.extended`."""
+        model, n = self.model.extended(offered), len(self.active)
+        added = model.ties.only(np.arange(n + len(offered)) >= n)
+        return replace(
+            self,
+            model=model,
+            active=np.concatenate([self.active, np.zeros(len(offered), dtype=bool)]),
+            residuals=np.concatenate([self.residuals, _residuals(added, self.poses, self.steps)]),
+        )
 
     def joint_covariances(self, groups: Sequence[NDArray[np.int64]]) -> list[Array]:
         """Covariance of all relative poses of each group of pairs together, (g d, g d).
@@ -286,6 +291,13 @@ class Settled:
         unknown: Any = np.isnan(blocks).any(axis=(1, 2))
         squares = np.linalg.eigvalsh(np.where(unknown[:, None, None], 0.0, blocks))[:, -1]
         return np.where(unknown, np.inf, np.sqrt(np.maximum(squares, 0.0)))
+
+
+def _residuals(ties: Ties, poses: Sequence[Any], steps: Array) -> Array:
+    """Error of every tie after a linear step: e + δ_j − A δ_i."""
+    i, j = ties.pairs.T
+    carried = adjoints(poses, ties.pairs) @ steps[i][:, :, None]
+    return np.asarray(errors_of(poses, ties.pairs, ties.measured) + steps[j] - carried[:, :, 0])
 
 
 def _batches(sizes: Sequence[int], most: int) -> Iterator[list[int]]:

@@ -2,28 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import gtsam
 import numpy as np
 from scipy.special import logit
 
 from pgti_gtsam.adapter import from_gtsam
-from pgti_gtsam.adapter.values import Keyframes, read_keyframes
 from pgti_gtsam.errors import InvalidGraphError, InvalidOptionError, MissingValueError
 from pgti_gtsam.factor_graphs import Closure, check_map, checked_closure, closure_graphs
 from pgti_gtsam.gate import paper_rule
 from pgti_gtsam.gate.admission import Admission, Weight
-from pgti_gtsam.gate.candidates import agreeing, implied_tie, measured_ties
+from pgti_gtsam.gate.candidate_map import CandidateMaps
 from pgti_gtsam.gate.decision import ClosureDecision, Term, Verdict
-from pgti_gtsam.gate.drift_model import Settled, drift_model
-from pgti_gtsam.gate.map_with import MapWith
+from pgti_gtsam.gate.drift_model import Settled
 from pgti_gtsam.gate.options import GateOptions
+from pgti_gtsam.gate.reference_map import ReferenceMap
 from pgti_gtsam.gate.terms import contact_rise, drift
 from pgti_gtsam.pose_graph import PoseGraph, Radii
-from pgti_gtsam.track import track_of
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -75,6 +72,33 @@ class LoopClosureGate:
             closures=closures,
         )
 
+    def reference_map(
+        self,
+        graph: gtsam.NonlinearFactorGraph,
+        values: gtsam.Values,
+        radii: Radii | None = None,
+        closures: Collection[int] | None = None,
+    ) -> ReferenceMap:
+        """The map before any candidate, for `judge`: worth keeping where several are weighed against it.
+
+        Parameters
+        ----------
+        graph, values, radii, closures
+            As in `from_gtsam`.
+
+        Raises
+        ------
+        MissingValueError, InvalidGraphError
+            A key without a value, or a value of another type than a factor asks for.
+        UnsolvableGraphError
+            The ties are so far apart in scale that nothing can be predicted.
+        PgtiError
+            Those of `from_gtsam`.
+        """
+        check_map(graph, values)
+        _check_values(graph, values)
+        return ReferenceMap.of(graph, values, self.adapted(graph, values, radii, closures))
+
     def evaluate(
         self,
         graph: gtsam.NonlinearFactorGraph,
@@ -99,12 +123,10 @@ class LoopClosureGate:
         ------
         InvalidClosureError
             An empty closure, a key without a value, a measurement that is not finite.
-        UnsolvableGraphError
-            The ties are so far apart in scale that nothing can be predicted.
         PgtiError
-            Those of `from_gtsam`.
+            Those of `reference_map`.
         """
-        return self.judge(graph, values, [closure], radii).decisions[0]
+        return self.evaluate_group(graph, values, [closure], radii).decisions[0]
 
     def evaluate_many(
         self,
@@ -114,10 +136,10 @@ class LoopClosureGate:
         radii: Radii | None = None,
     ) -> list[ClosureDecision]:
         """Judge independent candidates, each against the same map; decisions come in their order."""
-        offered = closure_graphs(closures)
-        for closure in offered:
-            checked_closure(closure, values)
-        return [self.evaluate(graph, values, closure, radii) for closure in offered]
+        check_map(graph, values)
+        offered = [checked_closure(closure, values) for closure in closure_graphs(closures)]
+        reference = self.reference_map(graph, values, radii)
+        return [self.judge(reference, [closure]).decisions[0] for closure in offered]
 
     def evaluate_group(
         self,
@@ -127,52 +149,38 @@ class LoopClosureGate:
         radii: Radii | None = None,
     ) -> Judgement:
         """Judge closures that arrived together, the surest first: see `admission`."""
-        return self.judge(graph, values, closures, radii)
+        check_map(graph, values)
+        offered = [checked_closure(closure, values) for closure in closure_graphs(closures)]
+        return self.judge(self.reference_map(graph, values, radii), offered)
 
     def judge(
         self,
-        graph: gtsam.NonlinearFactorGraph,
-        values: gtsam.Values,
-        closures: Sequence[Closure],
-        radii: Radii | None = None,
-        *,
-        odometry_is_sure: bool = False,
+        reference: ReferenceMap,
+        closures: Sequence[gtsam.NonlinearFactorGraph],
         progress: Callable[[int, int], None] = lambda done, of: None,
     ) -> Judgement:
         """Judge any number of closures by all that is known of the map and by each other.
 
         Parameters
         ----------
-        graph, values, radii
-            As in `evaluate`.
-        closures : sequence of closures
+        reference : ReferenceMap
+        closures : sequence of gtsam.NonlinearFactorGraph
+            As `factor_graphs.checked_closure` has them.
         progress : callable
             Told how many closures are judged, and of how many.
-        odometry_is_sure : bool
-            Whether every factor between two keyframes of the map is odometry; `track.roles` tells otherwise.
         """
-        # the map, and the closures as ties that do not hold yet
-        check_map(graph, values)
-        _check_values(graph, values)
-        offered = [checked_closure(closure, values) for closure in closure_graphs(closures)]
-        pose_graph = self.adapted(graph, values, radii, [] if odometry_is_sure else None)
-        base, keyframes = drift_model(graph, values, pose_graph), read_keyframes(values)
-        ties = [measured_ties(each, keyframes) or _implied(each, graph, keyframes, base.unit_m) for each in offered]
-        model = base.extended([tie for own in ties for tie in own])
-        rows = _rows(len(base.ties.pairs), ties)
-        settled = model.settled(np.arange(len(model.ties.pairs)) < len(base.ties.pairs))
+        # the closures as ties that do not hold yet, those of one revisit together
+        settled, rows = reference.offered(closures)
+        maps = CandidateMaps(reference=reference, beta=self.options.beta)
+        weights = [Weight(ties=ties) for ties in reference.revisits(settled)]
 
-        # which of them hold
-        found = MapWith(pose_graph=pose_graph, first=len(base.ties.pairs), beta=self.options.beta)
-        own = np.arange(len(base.ties.pairs), len(model.ties.pairs))
-        weights = [Weight(ties=each) for each in agreeing(settled, own, track_of(pose_graph).way_m / model.unit_m)]
-        known: dict[int, Term] = {}
+        # which of them hold, and why
         contradicted: dict[int, float] = {}
         if self.options.rule == "log_odds":
             admission = Admission(
-                model=model,
-                needed=float(logit(self.options.min_probability)),
-                contacts_of=found.contacts,
+                model=settled.model,
+                needed=self._needed,
+                contacts_of=maps.contacts,
                 active=settled.active,
                 weights=weights,
                 settled=settled,
@@ -180,54 +188,44 @@ class LoopClosureGate:
             )
             admission.run()
             settled, contradicted = admission.settled, admission.member_odds
+            terms = [_terms(weight, reference.pose_graph) for weight in weights]
         else:
-            settled, known = paper_rule.admitted(settled, weights, found.integrity, self.options)
-        return Judgement(
-            decisions=self._decisions(rows, weights, settled, contradicted, known, found, pose_graph), settled=settled
-        )
+            settled, terms = paper_rule.admitted(settled, weights, maps.integrity, self.options)
 
-    def _decisions(
-        self,
-        rows: list[list[int]],
-        weights: list[Weight],
-        settled: Settled,
-        contradicted: dict[int, float],
-        known: dict[int, Term],
-        found: MapWith,
-        pose_graph: PoseGraph,
-    ) -> tuple[ClosureDecision, ...]:
-        """What was found, closure by closure."""
-        group_of = {int(tie): k for k, each in enumerate(weights) for tie in each.ties}
-        scores = [found.scores(settled, each.ties) for each in weights] if self.options.scores else None
+        # the verdict on each closure is that on the revisit which it is part of
+        revisit_of = {int(tie): k for k, weight in enumerate(weights) for tie in weight.ties}
+        scores = [maps.scores(settled, weight.ties) for weight in weights] if self.options.scores else None
         decisions = []
         for own in rows:
             if not own:
                 decisions.append(_ties_nothing())
                 continue
-            group = min((group_of[tie] for tie in own), key=lambda k: -len(weights[k].ties))
-            terms = {self.options.rule: known[group]} if known else _terms(weights[group], pose_graph)
-            odds = sum(term.log_odds for term in terms.values())
-            odds = min([odds, *(contradicted[tie] for tie in own if tie in contradicted)])
-            keys = sorted({int(pose_graph.keys[k]) for tie in own for k in settled.model.ties.pairs[tie]})
-            decision = ClosureDecision(
-                verdict=self._verdict(odds, is_tied=bool(settled.active[own].all())),
-                log_odds=odds,
-                terms=terms,
-                reasons=tuple(
-                    t.sentence for t in sorted(terms.values(), key=lambda t: -abs(np.nan_to_num(t.log_odds)))
-                ),
-                keys=tuple(keys),
-                judged_with=len(weights[group].ties),
-            )
+            k = max((revisit_of[tie] for tie in own), key=lambda k: len(weights[k].ties))
+            against = [contradicted[tie] for tie in own if tie in contradicted]
+            keys = reference.pose_graph.keys[np.unique(settled.model.ties.pairs[own])].tolist()
+            decision = self._decision(terms[k], against, is_tied=bool(settled.active[own].all()))
+            decision = replace(decision, keys=tuple(keys), judged_with=len(weights[k].ties))
             if scores is not None:
-                decision = replace(decision, score=scores[group][0], global_score=scores[group][1])
+                decision = replace(decision, score=scores[k][0], global_score=scores[k][1])
             decisions.append(decision)
-        return tuple(decisions)
+        return Judgement(decisions=tuple(decisions), settled=settled)
 
-    def _verdict(self, odds: float, *, is_tied: bool) -> Verdict:
-        if is_tied:
-            return "accepted"
-        return "rejected" if odds <= -float(logit(self.options.min_probability)) else "undecided"
+    @property
+    def _needed(self) -> float:
+        return float(logit(self.options.min_probability))
+
+    def _decision(self, terms: Mapping[str, Term], against: Sequence[float], *, is_tied: bool) -> ClosureDecision:
+        """The verdict by some evidence, and by what all the other members say against this one."""
+        odds = min([sum(term.log_odds for term in terms.values()), *against])
+        open_: Verdict = "rejected" if odds <= -self._needed else "undecided"
+        heaviest = sorted(terms.values(), key=lambda term: -abs(float(np.nan_to_num(term.log_odds))))
+        return ClosureDecision(
+            verdict="accepted" if is_tied else open_,
+            log_odds=odds,
+            terms=terms,
+            reasons=tuple(term.sentence for term in heaviest),
+            keys=(),
+        )
 
 
 def _check_values(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> None:
@@ -245,19 +243,6 @@ def _check_values(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> No
             f"expected factors that fit the values' types, got: {str(error).strip()}; look for a factor of Pose2 among "
             "Pose3, or the reverse"
         ) from error
-
-
-def _implied(
-    closure: gtsam.NonlinearFactorGraph, graph: gtsam.NonlinearFactorGraph, keyframes: Keyframes, unit_m: float
-) -> list[Any]:
-    tie = implied_tie(closure, graph, keyframes, unit_m)
-    return [] if tie is None else [tie]
-
-
-def _rows(first: int, ties: Sequence[Sequence[Any]]) -> list[list[int]]:
-    """Which ties of the model each closure is."""
-    ends = first + np.cumsum([0, *map(len, ties)])
-    return [list(range(a, b)) for a, b in zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True)]
 
 
 def _terms(weight: Weight, pose_graph: PoseGraph) -> dict[str, Term]:

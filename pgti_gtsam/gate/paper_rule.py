@@ -20,16 +20,17 @@ from pgti_gtsam.integrity import Integrity
 
 def admitted(
     settled: Settled, weights: list[Weight], integrity_of: Callable[[Settled], Integrity], options: GateOptions
-) -> tuple[Settled, dict[int, Term]]:
-    """The map with the revisits that pass, and what was measured of each, by its place in `weights`."""
-    before, terms = integrity_of(settled), {}
+) -> tuple[Settled, list[dict[str, Term]]]:
+    """The map with the revisits that pass, and what was measured of each."""
+    before = integrity_of(settled)
+    terms: list[dict[str, Term]] = [{} for _ in weights]
     for k in sorted(range(len(weights)), key=lambda k: int(settled.model.ties.pairs[weights[k].ties].max())):
         active = settled.active.copy()
         active[weights[k].ties] = True
         tried = settled.model.settled(active, settled)
         after = integrity_of(tried)
-        terms[k] = _term(before, after, options)
-        if terms[k].log_odds > 0:
+        terms[k] = {options.rule: _term(before, after, options)}
+        if terms[k][options.rule].log_odds > 0:
             settled, before = tried, after
     return settled, terms
 

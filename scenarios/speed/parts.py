@@ -12,12 +12,10 @@ import numpy as np
 
 import pgti_gtsam as pgti
 from pgti_gtsam import datasets
-from pgti_gtsam.adapter.values import read_keyframes
 from pgti_gtsam.estimate import optimised
 from pgti_gtsam.gate.batch import closure_ends
-from pgti_gtsam.gate.candidates import measured_ties
-from pgti_gtsam.gate.drift_model import drift_model
-from pgti_gtsam.gate.map_with import MapWith
+from pgti_gtsam.gate.candidate_map import CandidateMaps
+from pgti_gtsam.gate.reference_map import ReferenceMap
 from pgti_gtsam.gate.terms.contact_rise import local_rise
 from pgti_gtsam.gate.terms.drift import log_odds
 from pgti_gtsam.integrity import STABLE_TIMES, relative_distortion, stable_scores, time_grid
@@ -193,22 +191,20 @@ def _stages(
     watch = Stopwatch()
     pose_graph = gate.adapted(graph, values, radius)
     watch.look("adapting")
-    base = drift_model(graph, values, pose_graph)
-    model = base.extended(measured_ties(closure, read_keyframes(values)))
-    watch.look("drift model")
-    holding = np.arange(len(model.ties.pairs)) < len(base.ties.pairs)
-    settled = model.settled(holding)
-    watch.look("optimum without the closure")
+    reference = ReferenceMap.of(graph, values, pose_graph)
+    watch.look("drift model and its optimum without the closure")
 
     # what the map predicts of the closure, and the map with it
-    log_odds(model, settled.residuals[~holding], settled.covariances(model.ties.pairs[~holding]))
+    settled, [own] = reference.offered([closure])
+    model = settled.model
+    log_odds(model, settled.residuals[own], settled.covariances(model.ties.pairs[own]))
     watch.look("weighing")
-    tied = model.settled(np.ones_like(holding), settled)
+    tied = model.settled(np.ones_like(settled.active), settled)
     watch.look("optimum with the closure")
 
     # free space with and without
-    found = MapWith(pose_graph=pose_graph, first=len(base.ties.pairs), beta=gate.options.beta)
-    before, after = found.contacts(settled), found.contacts(tied)
+    maps = CandidateMaps(reference=reference, beta=gate.options.beta)
+    before, after = maps.contacts(settled), maps.contacts(tied)
     watch.look("contacts with and without")
     local_rise(before, after)
     watch.look("contact rise, where the drift leaves doubt")

@@ -1,4 +1,4 @@
-"""The map with some candidate closures, drawn at the drift model's optimum, as PGTI sees it."""
+"""The map with some candidate closures, as PGTI sees it: contacts and scores."""
 
 from __future__ import annotations
 
@@ -9,50 +9,35 @@ from numpy.typing import NDArray
 
 from pgti_gtsam.gate.decision import Change
 from pgti_gtsam.gate.drift_model import Settled
+from pgti_gtsam.gate.reference_map import ReferenceMap
 from pgti_gtsam.gate.terms.contact_rise import Contacts, contacts
 from pgti_gtsam.integrity import Integrity, assess
-from pgti_gtsam.pose_graph import EdgeSource, PoseGraph
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class MapWith:
-    """A map without candidates, and how to draw it with some.
+class CandidateMaps:
+    """Maps with any of the candidates.
 
     Attributes
     ----------
-    pose_graph : PoseGraph
-        Without any candidate.
-    first : int
-        Ties of the drift model from this one on are candidates.
+    reference : ReferenceMap
+        Without any.
     beta : float
         As in `assess`.
     """
 
-    pose_graph: PoseGraph
-    first: int
+    reference: ReferenceMap
     beta: float
-
-    def drawn(self, settled: Settled) -> PoseGraph:
-        """The pose graph with the candidates that hold."""
-        own, places = self.pose_graph, np.zeros((len(self.pose_graph), 3))
-        centres = np.array([pose.translation() for pose in settled.poses])
-        places[:, : centres.shape[1]] = centres
-        more = settled.model.ties.pairs[self.first :][settled.active[self.first :]]
-        return PoseGraph(
-            keys=own.keys,
-            positions=places,
-            radii=own.radii,
-            edges=np.concatenate([own.edges, more]),
-            edge_sources=np.concatenate([own.edge_sources, np.full(len(more), EdgeSource.BETWEEN, np.uint8)]),
-        )
 
     def contacts(self, settled: Settled) -> Contacts:
         """Which keyframes are connected, and which only touch."""
-        return contacts(self.drawn(settled))
+        if settled.poses is self.reference.settled.poses:
+            return self.reference.contacts
+        return contacts(self.reference.drawn(settled))
 
     def integrity(self, settled: Settled) -> Integrity:
         """PGTI of the map."""
-        return assess(self.drawn(settled), beta=self.beta)
+        return assess(self.reference.drawn(settled), beta=self.beta)
 
     def scores(self, settled: Settled, ties: NDArray[np.int64]) -> tuple[Change, Change]:
         """Λ and Λ_glob of the map without and with some of the candidates, all else as it is."""

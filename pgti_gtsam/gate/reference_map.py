@@ -1,0 +1,94 @@
+"""The map before any candidate: read, modelled and settled once, for any number of closures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from pgti_gtsam.adapter.values import Keyframes, read_keyframes
+from pgti_gtsam.gate.candidates import Tie, agreeing, implied_tie, measured_ties
+from pgti_gtsam.gate.drift_model import Settled, drift_model
+from pgti_gtsam.gate.terms.contact_rise import Contacts, contacts
+from pgti_gtsam.pose_graph import EdgeSource, PoseGraph
+from pgti_gtsam.track import track_of
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ReferenceMap:
+    """A map that closures are weighed against.
+
+    Attributes
+    ----------
+    graph : gtsam.NonlinearFactorGraph
+    keyframes : Keyframes
+        Of the estimate.
+    pose_graph : PoseGraph
+        The map as the gate reads it.
+    settled : Settled
+        The drift model of all its ties.
+    """
+
+    graph: gtsam.NonlinearFactorGraph
+    keyframes: Keyframes
+    pose_graph: PoseGraph
+    settled: Settled
+
+    @classmethod
+    def of(cls, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, pose_graph: PoseGraph) -> ReferenceMap:
+        """Settle the drift model of a map.
+
+        Raises
+        ------
+        NoRadiusError, UnsolvableGraphError
+            Those of `drift_model` and `DriftModel.settled`.
+        """
+        settled = drift_model(graph, values, pose_graph).settled()
+        return cls(graph=graph, keyframes=read_keyframes(values), pose_graph=pose_graph, settled=settled)
+
+    @property
+    def n_ties(self) -> int:
+        """Number of the map's own ties; those of candidates follow."""
+        return len(self.settled.active)
+
+    @cached_property
+    def contacts(self) -> Contacts:
+        """Which keyframes are connected, and which only touch, where the drift model has them."""
+        return contacts(self.drawn(self.settled))
+
+    def offered(self, closures: Sequence[gtsam.NonlinearFactorGraph]) -> tuple[Settled, list[list[int]]]:
+        """The map with some closures as ties that do not hold yet, and which ties each closure is.
+
+        Sightings of landmarks are the relative pose that they imply; a closure that ties no two keyframes is no tie.
+        """
+        ties = [measured_ties(each, self.keyframes) or self._implied(each) for each in closures]
+        ends = self.n_ties + np.cumsum([0, *map(len, ties)])
+        rows = [list(range(a, b)) for a, b in zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True)]
+        return self.settled.extended([tie for own in ties for tie in own]), rows
+
+    def _implied(self, closure: gtsam.NonlinearFactorGraph) -> list[Tie]:
+        tie = implied_tie(closure, self.graph, self.keyframes, self.settled.model.unit_m)
+        return [] if tie is None else [tie]
+
+    def revisits(self, offered: Settled) -> list[NDArray[np.int64]]:
+        """Candidate ties of one revisit that say the same, together."""
+        way = track_of(self.pose_graph).way_m / offered.model.unit_m
+        return agreeing(offered, np.arange(self.n_ties, len(offered.active)), way)
+
+    def drawn(self, settled: Settled) -> PoseGraph:
+        """The pose graph with the candidates that hold, at an optimum of the drift model."""
+        own, places = self.pose_graph, np.zeros((len(self.pose_graph), 3))
+        centres = np.array([pose.translation() for pose in settled.poses])
+        places[:, : centres.shape[1]] = centres
+        more = settled.model.ties.pairs[self.n_ties :][settled.active[self.n_ties :]]
+        return PoseGraph(
+            keys=own.keys,
+            positions=places,
+            radii=own.radii,
+            edges=np.concatenate([own.edges, more]),
+            edge_sources=np.concatenate([own.edge_sources, np.full(len(more), EdgeSource.BETWEEN, np.uint8)]),
+        )
