@@ -117,6 +117,8 @@ class PoseGraph:
         positions = _checked_positions(keys, self.positions)
         radii = _checked_radii(keys, self.radii)
         edges = _checked_edges(len(keys), self.edges)
+
+        # what each edge carries
         m = len(edges)
         sources = np.asarray(self.edge_sources if len(self.edge_sources) else np.full(m, EdgeSource.BETWEEN), np.uint8)
         slots = self.edge_slots or ((),) * m
@@ -126,6 +128,8 @@ class PoseGraph:
                 f"got {len(sources)} and {len(slots)}"
             )
         information = _checked_information(m, self.edge_information)
+
+        # each pair once, and nothing can be changed
         merged = _merge_edges(edges, sources, slots, information, len(keys))
         for name, value in zip(
             ("keys", "positions", "radii", "edges", "edge_sources", "edge_slots", "edge_information"),

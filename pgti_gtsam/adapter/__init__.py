@@ -145,6 +145,8 @@ def _checked_radii(
             "expected radii as one number of metres or as a mapping from keys to metres, "
             f"got an object of type {type(given).__name__}"
         )
+
+    # given ones replace what landmarks say
     by_key = given if isinstance(given, Mapping) else {} if given is None else dict.fromkeys(keyframes.index, given)
     radii = seen.copy()
     for key, radius in by_key.items():
@@ -159,6 +161,8 @@ def _checked_radii(
                 f"for keyframe {gtsam.DefaultKeyFormatter(int(key))}"
             )
         radii[keyframes.index[int(key)]] = radius
+
+    # a map needs one at least
     if not radii.any():
         raise NoRadiusError(
             "expected landmarks or radii that say how far the space around keyframes is free, got neither; "

@@ -93,6 +93,8 @@ def audit(
     files = MapFiles(files=file, values=values, loops=loops, one_map=one_map, ignore_unknown=ignore_unknown)
     files.check_outputs([json, html, proposals], cloud)
     _check_failures(fail_on, fail_above)
+
+    # audit, and write what was asked for
     with stages(9) as stage:
         audited = _audit(files, radius, cloud, edges, min_shared_landmarks, beta, optimise, stage)
         document = audited.document
@@ -108,6 +110,8 @@ def audit(
         if proposals is not None:
             graph, places = proposal_graph(audited.diagnosis, audited.values)
             write_g2o(graph, places, proposals)
+
+    # show it
     console = Console(highlight=False)
     print_summary(document, console)
     if sweep:

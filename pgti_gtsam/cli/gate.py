@@ -73,6 +73,8 @@ def gate(
         dataset, radii = read_map(files, radius, cloud, every)
         if out_values is not None and dataset.format != gtsam_archive.NAME:
             raise InvalidOptionError(f"expected --out-values with a GTSAM archive, got {dataset.format}: use --out")
+
+        # judge the closures
         gated = gate_graph(
             dataset.graph,
             dataset.values,
@@ -84,11 +86,15 @@ def gate(
         records = decision_records(
             gated.decisions, _ends(dataset, gated.decisions), true_closures=dataset.true_closures
         )
+
+        # write what was asked for
         unwritten = _write_gated(dataset, gated, out, out_values)
         if decisions is not None:
             write_json_lines(records, decisions)
         if rejected is not None:
             _write_pairs(dataset, gated.rejected, rejected)
+
+    # show it
     console = Console(highlight=False)
     print_heading(dataset.title, f"{len(records)} loop closures, the surest judged first", dataset.notes, console)
     print_decisions(records, console)
@@ -123,6 +129,8 @@ def closures(
     with counted() as tell:
         tell("reading", 0, 1)
         dataset, radii = read_map(files, radius, cloud, every)
+
+        # judge each of them
         judged, alone = leave_one_out(
             dataset.graph,
             dataset.values,
@@ -132,6 +140,8 @@ def closures(
             progress=lambda done, of: tell("judging closures", done, of),
         )
         records = decision_records(judged, _ends(dataset, judged), true_closures=dataset.true_closures)
+
+        # write what was asked for
         if json is not None:
             options = {
                 "radius": radius,
@@ -149,6 +159,8 @@ def closures(
                 unjudged=list(_ends(dataset, alone).values()),
             )
             write_json(document, json)
+
+    # show it
     console = Console(highlight=False)
     print_heading(dataset.title, f"{len(records)} loop closures, each against all others", dataset.notes, console)
     print_closures(least_probable_first(records), console)

@@ -126,6 +126,8 @@ def place_by_factors(keys: Sequence[int], betweens: Sequence[Between], origin: P
     for between in betweens:
         for key in between.ends:
             leaving.setdefault(key, []).append(between)
+
+    # along odometry first, across a closure where nothing else leads
     poses: dict[int, Pose] = {}
     closures_used = 0
     queue: deque[tuple[int, Pose, bool]] = deque([(keys[0], origin, False)])

@@ -89,6 +89,8 @@ def sightings(
     seen = np.linalg.norm(points, axis=1) > 0.0
     kept = table.where(seen)
     points, information = points[seen], information[seen]
+
+    # from points to bearing and range
     is_planar = points.shape[1] == 2
     jacobians = planar_jacobian(points) if is_planar else spatial_jacobian(points)
     models = information_models(file, kept, jacobians.transpose(0, 2, 1) @ information @ jacobians)
@@ -100,6 +102,8 @@ def sightings(
     ):
         pose, landmark = ids[0], landmark_key(ids[1])
         found.append(Sighting(line, pose, landmark, point, make(pose, landmark, point, range_m, model)))
+
+    # what has no bearing
     lost = table.lines[~seen]
     if lost.size:
         file.notes.append(

@@ -56,10 +56,14 @@ def subsample(dataset: Dataset, every: int = 5) -> Dataset:
     dropped = set(keys) - set(keys[::every])
     if not dropped:
         return dataset
+
+    # steps in between become one
     odometry = odometry_factors(dataset)
     graph = _composed_odometry(keys, odometry_links(keys, odometry), every)
     note = f"one pose in {every} is kept, {len(keys) - len(dropped)} of {len(keys)}; {graph.size()} composed steps"
     slots = _copy_factors(dataset.graph, graph, {step.slot for step in odometry}, dropped)
+
+    # all else that names a pose
     radii, true, truth = dataset.radii, dataset.true_closures, dataset.truth
     return replace(
         dataset,

@@ -69,6 +69,8 @@ def grounds(body: Linearisation) -> list[Ground]:
     moved = np.tile(np.eye(d), (equations.n_vertices, 1))
     sums = (np.asarray(equations.hessian @ moved)).reshape(-1, d, d)
     diagonal = equations.hessian.diagonal().reshape(-1, d)
+
+    # in each part, motions of the whole that cost nothing
     found = []
     for part in range(labels.max() + 1):
         members = np.flatnonzero(labels == part)

@@ -111,6 +111,8 @@ def linearise(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> Linear
     others = sorted(set(dims) - set(keys))
     starts = len(keys) * d + np.concatenate([[0], np.cumsum([dims[key] for key in others])]).astype(np.int64)
     column = {key: i * d for i, key in enumerate(keys)} | dict(zip(others, starts.tolist(), strict=False))
+
+    # each factor where its variables stand
     blocks = [(slot, *_linearised(slot, factor, values, dims)) for slot, factor in slots_of(graph)]
     if not blocks:
         raise InvalidGraphError(

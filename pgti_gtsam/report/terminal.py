@@ -74,6 +74,8 @@ def _read(document: Mapping[str, Any]) -> RenderableType:
     table, summary, adaptation = _pairs(), document["summary"], document["adaptation"]
     table.add_row("format", Text(document["input"]["format"]))
     table.add_row("keyframes", f"{summary['n_keyframes']}")
+
+    # what became of the factors
     if adaptation is not None:
         if adaptation["n_observations"]:
             table.add_row("landmarks", f"{adaptation['n_landmarks']} in {adaptation['n_observations']} sightings")
@@ -89,6 +91,8 @@ def _read(document: Mapping[str, Any]) -> RenderableType:
             table.add_row(Text("note", style="yellow"), Text(line))
     else:
         table.add_row("edges", f"{summary['n_pose_graph_edges']}")
+
+    # what the reader says
     for note in document["input"]["notes"]:
         table.add_row("note", Text(note))
     return table
@@ -107,6 +111,8 @@ def _warnings(document: Mapping[str, Any]) -> list[str]:
         )
     if adaptation["landmarks_without_position"]:
         lines.append(f"{adaptation['landmarks_without_position']} landmarks could not be placed and give no radius")
+
+    # what connects
     if 0 < adaptation["max_shared_landmarks"] < adaptation["min_shared_landmarks"]:
         lines.append(
             f"no two keyframes share {adaptation['min_shared_landmarks']} landmarks, so covisibility connects none; "

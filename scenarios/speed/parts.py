@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -148,17 +149,22 @@ def decisions(case: str, data: Path) -> list[Row]:
         "n_keyframes": len(gate.adapted(graph, best, radius)),
         "one_optimisation": watch.seconds["one optimisation"],
     }
+    reference = gate.reference_map(graph, best, radius)
+    judged = {
+        "a decision on a {} closure": lambda closure: gate.evaluate(graph, best, closure, radius),
+        "the same against a kept reference map, {}": lambda closure: gate.judge(reference, [closure]).decisions[0],
+    }
     rows = []
-    for kind, closures in offers.items():
+    for (what, judge), (kind, closures) in product(judged.items(), offers.items()):
         seconds, accepted = [], 0
         for closure in closures:
             started = time.process_time()
-            accepted += gate.evaluate(graph, best, closure, radius).accepted
+            accepted += judge(closure).accepted
             seconds.append(time.process_time() - started)
         rows.append(
             {
                 **common,
-                "what": f"a decision on a {kind} closure",
+                "what": what.format(kind),
                 "seconds": float(np.median(seconds)),
                 "slowest": max(seconds),
                 "accepted": accepted,
@@ -186,7 +192,7 @@ def _stages(
     closure: gtsam.NonlinearFactorGraph,
     radius: float,
 ) -> dict[str, float]:
-    """What each step of a decision on a closure that passes costs, s: the same calls as `LoopClosureGate.judge` has."""
+    """What each step of a decision on a closure that passes costs, s: the calls of `LoopClosureGate.evaluate`."""
     # the map without the closure
     watch = Stopwatch()
     pose_graph = gate.adapted(graph, values, radius)

@@ -39,6 +39,8 @@ def parse(source: Source) -> Dataset:
     if len(seen.lines) != n_seen or len(numbers) != expected:
         got = f"got {len(seen.lines)} observations and {len(numbers)} numbers"
         raise file.error(f"expected {n_seen} observations, then {expected} numbers of cameras and points, {got}")
+
+    # cameras look along minus z, and map the world to themselves
     points = numbers[CAMERA * n_cameras :].reshape(n_points, POINT)
     cameras = numbers[: CAMERA * n_cameras].reshape(n_cameras, CAMERA)
     poses = [gtsam.Pose3(gtsam.Rot3.Expmap(row[:3]), row[3:6]).inverse() for row in cameras]

@@ -53,6 +53,8 @@ def parse(source: Source) -> Dataset:
         raise source.error("holds GTSAM values; expected the factor graph here, and these as --values FILE")
     if values_path is None:
         raise source.error("holds a factor graph without values; name the file of its values: --values FILE")
+
+    # the graph and its values
     graph = _deserialize(source.path, text, gtsam.NonlinearFactorGraph)
     values = read_values(values_path)
     notes = [f"values from {values_path.name}"]

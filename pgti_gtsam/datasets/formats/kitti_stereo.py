@@ -45,12 +45,16 @@ def parse(source: Source) -> Dataset:
     behind = np.flatnonzero((table.numbers[:, 0] <= table.numbers[:, 1]) | (table.numbers[:, 5] <= 0.0))
     if behind.size:
         raise file.error("expected a landmark in front of the cameras: uL > uR and Z > 0", table.lines[behind[0]])
+
+    # cameras beside it, and their calibration
     poses = _camera_poses(_sibling(file, POSES))
     unknown = np.flatnonzero(~np.isin(table.ids[:, 0], list(poses)))
     if unknown.size:
         message = f"camera {table.ids[unknown[0], 0]} has no pose in {_sibling(file, POSES).name}"
         raise file.error(message, table.lines[unknown[0]])
     calibration = _sibling(file, CALIBRATION)
+
+    # the map
     graph = _odometry(poses)
     _add_observations(graph, table, _calibration(calibration))
     return Dataset(
