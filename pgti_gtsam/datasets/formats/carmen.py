@@ -75,8 +75,6 @@ def parse(source: Source, *, step_m: float = 0.5, step_rad: float = 0.5) -> Data
     robot = planar_poses(np.array([scans[index].robot for index in chosen]))
     odometry = [Relation(i, j, robot[i].between(robot[j])) for i, j in pairwise(range(len(chosen)))]
     loops = [Relation(keys[loop.first], keys[loop.second], loop.pose) for loop in relations]
-
-    # what was assumed
     lines = [scans[index].line for index in chosen]
     file.notes.extend(
         [
@@ -87,8 +85,6 @@ def parse(source: Source, *, step_m: float = 0.5, step_rad: float = 0.5) -> Data
         ]
     )
     note_ignored(file, {tag})
-
-    # the map
     dataset = assemble(
         file,
         format=NAME,
@@ -134,7 +130,6 @@ def _loop_relations(file: TextFile, times: NDArray[np.float64]) -> tuple[list[Re
         return [], [f"there is no {path.name} beside the log, and so no closure"]
     table = read_lines(path).rows(ids=0, widths=[8])
     ends, poses = table.numbers[:, :2], table.numbers[:, [2, 3, 7]]
-
     # relations far apart in time, by the scans next to their times
     nodes = np.searchsorted(np.unique(ends), ends)
     loops = np.flatnonzero(np.abs(nodes[:, 1] - nodes[:, 0]) > LOOP_NODES)
@@ -144,8 +139,6 @@ def _loop_relations(file: TextFile, times: NDArray[np.float64]) -> tuple[list[Re
         Relation(first, second, gtsam.Pose2(*pose))
         for (first, second), pose in zip(nearest[known].tolist(), poses[loops][known].tolist(), strict=True)
     ]
-
-    # what is used and what not
     far = f"{len(relations)} of {len(ends)} relations in {path.name} lie more than {LOOP_NODES} nodes apart and are"
     sigmas = f"with assumed sigmas {RELATION_SIGMAS} (m, m, rad)"
     notes = [f"{far} closures, hand-checked, {sigmas}; the others are not used"]

@@ -66,20 +66,17 @@ def parse(source: Source) -> Dataset:
     except (sqlite3.Error, ValueError, zlib.error) as error:
         raise source.error(f"is no database of RTAB-Map, or a damaged one: {error}") from error
 
-    # what kinds of links there are
+    # what kinds of links there are, and those between keyframes as factors
     file.notes.extend([f"{unary} pose priors and gravity links left out"] if unary else [])
     counts = Counter(link.type for link in links)
     file.notes.extend(f"{counts[kind]} {KINDS.get(kind, UNKNOWN)}" for kind in sorted(counts))
     ties, tags = ([link for link in links if link.type in kinds] for kinds in ((*ODOMETRY, *CLOSURES), (LANDMARK,)))
-
-    # those between keyframes as factors
-    information = np.array([link.information for link in ties]).reshape(-1, 6, 6)
-    models = information_models(file, _table(ties, keys), information)
+    models = information_models(
+        file, _table(ties, keys), np.array([link.information for link in ties]).reshape(-1, 6, 6)
+    )
     ends = [(keys[link.first], keys[link.second]) for link in ties]
     rows = enumerate(zip(ends, ties, models, strict=True))
     entries = [Entry(slot, pair, between(*pair, link.pose, model)) for slot, (pair, link, model) in rows]
-
-    # the map, under the database's own names
     dataset = assemble(
         file,
         format=NAME,
@@ -113,8 +110,7 @@ def _nodes(database: sqlite3.Connection, file: TextFile) -> tuple[dict[int, int]
 
 
 def _optimised(database: sqlite3.Connection) -> dict[int, gtsam.Pose3]:
-    columns = {row[1] for row in database.execute("PRAGMA table_info(Admin)")}
-    if not {"opt_ids", "opt_poses"} <= columns:
+    if not {"opt_ids", "opt_poses"} <= {row[1] for row in database.execute("PRAGMA table_info(Admin)")}:
         return {}
     for ids, poses in database.execute("SELECT opt_ids, opt_poses FROM Admin WHERE opt_poses IS NOT NULL"):
         nodes = np.frombuffer(zlib.decompressobj().decompress(ids, MOST_BYTES), "<i4").tolist()
