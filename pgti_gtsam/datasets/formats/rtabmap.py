@@ -65,15 +65,12 @@ def parse(source: Source) -> Dataset:
             unary = database.execute(UNARY).fetchone()[0]
     except (sqlite3.Error, ValueError, zlib.error) as error:
         raise source.error(f"is no database of RTAB-Map, or a damaged one: {error}") from error
-
-    # what kinds of links there are, and those between keyframes as factors
     file.notes.extend([f"{unary} pose priors and gravity links left out"] if unary else [])
     counts = Counter(link.type for link in links)
     file.notes.extend(f"{counts[kind]} {KINDS.get(kind, UNKNOWN)}" for kind in sorted(counts))
     ties, tags = ([link for link in links if link.type in kinds] for kinds in ((*ODOMETRY, *CLOSURES), (LANDMARK,)))
-    models = information_models(
-        file, _table(ties, keys), np.array([link.information for link in ties]).reshape(-1, 6, 6)
-    )
+    information = np.array([link.information for link in ties]).reshape(-1, 6, 6)
+    models = information_models(file, _table(ties, keys), information)
     ends = [(keys[link.first], keys[link.second]) for link in ties]
     rows = enumerate(zip(ends, ties, models, strict=True))
     entries = [Entry(slot, pair, between(*pair, link.pose, model)) for slot, (pair, link, model) in rows]
