@@ -117,20 +117,23 @@ def gated(path: Path) -> Row:
     """Gate one file with its labels."""
     dataset = datasets.read(path)
     kept = datasets.subsample(dataset, EVERY)
-    if len(kept.closures) == len(dataset.closures):  # else the loops lie between these frames: all are kept
+    if len(datasets.closure_slots(kept)) == len(
+        datasets.closure_slots(dataset)
+    ):  # else the loops lie between these frames: all are kept
         dataset = kept
+    closures = datasets.closure_slots(dataset)
     started = time.process_time()
-    result = pgti.gate_graph(dataset.graph, dataset.values, radii=RADIUS_M, closures=dataset.closures)
+    result = pgti.gate_graph(dataset.graph, dataset.values, radii=RADIUS_M, closures=closures)
     seconds = time.process_time() - started
     true, accepted = set(dataset.true_closures or ()), set(result.accepted)
     only_true = gtsam.NonlinearFactorGraph(dataset.graph)
-    for slot in set(dataset.closures) - true:
+    for slot in set(closures) - true:
         only_true.remove(slot)
     return Row(
         file=path.name,
         true=len(true),
         true_accepted=len(true & accepted),
-        false=len(set(dataset.closures) - true),
+        false=len(set(closures) - true),
         false_accepted=len(accepted - true),
         ate_m=_ate_m(dataset, result.values),
         ate_only_true_m=_ate_m(dataset, optimised(only_true, result.values)),

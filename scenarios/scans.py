@@ -74,20 +74,21 @@ def gated(path: Path, seed: int) -> dict[str, Any]:
     graph = gtsam.NonlinearFactorGraph(dataset.graph)
     alike, random = look_alikes(path), np.random.default_rng(seed)
     false = [alike[k] for k in sorted(random.choice(len(alike), min(N_FALSE, len(alike)), replace=False))]
-    noise = graph.at(dataset.closures[0]).noiseModel()
+    true = datasets.closure_slots(dataset)
+    noise = graph.at(true[0]).noiseModel()
     for first, second, measured in false:
         graph.add(gtsam.BetweenFactorPose2(first, second, measured, noise))
     started = time.process_time()
-    offered = [*dataset.closures, *range(dataset.graph.size(), graph.size())]
+    offered = [*true, *range(dataset.graph.size(), graph.size())]
     result = pgti.gate_graph(graph, dataset.values, radii=dataset.radii, closures=offered)
     accepted = set(result.accepted)
     return {
         "seed": seed,
-        "true": len(dataset.closures),
-        "true_accepted": len(accepted & set(dataset.closures)),
+        "true": len(true),
+        "true_accepted": len(accepted & set(true)),
         "look_alikes": len(alike),
         "false": len(false),
-        "false_accepted": len(accepted - set(dataset.closures)),
+        "false_accepted": len(accepted - set(true)),
         "seconds": time.process_time() - started,
     }
 

@@ -38,7 +38,7 @@ def test_the_content_tells_the_format_whatever_the_ending(tmp_path, text, name, 
 def test_every_variable_of_every_factor_has_a_value(tmp_path, text):
     dataset = read_text(tmp_path, text)
     assert set(dataset.graph.keyVector()) <= set(dataset.values.keys())
-    assert all(dataset.graph.exists(slot) for slot in dataset.closures)
+    assert all(dataset.graph.exists(slot) for slot in datasets.closure_slots(dataset))
     assert not any("Prior" in type(dataset.graph.at(slot)).__name__ for slot in range(dataset.graph.size()))
 
 

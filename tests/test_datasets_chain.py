@@ -9,7 +9,7 @@ from small_files import FLIRTLIB, G2O, read_text
 
 from pgti_gtsam import datasets
 from pgti_gtsam.datasets import Dataset, chain_odometry, subsample
-from pgti_gtsam.datasets.chain import between_factors, poses_of
+from pgti_gtsam.datasets.chain import between_factors, closure_slots, poses_of
 from pgti_gtsam.datasets.subsample import Step, compose
 from pgti_gtsam.errors import InvalidGraphError, InvalidOptionError
 
@@ -113,7 +113,7 @@ def test_spatial_landmarks_move_too():
 def test_subsampling_keeps_closures_between_the_poses_that_stay(tmp_path):
     dataset = read_text(tmp_path, FLIRTLIB)
     fewer = subsample(dataset, 2)
-    assert [tuple(fewer.graph.at(slot).keys()) for slot in fewer.closures] == [(0, 2)]
+    assert [tuple(fewer.graph.at(slot).keys()) for slot in closure_slots(fewer)] == [(0, 2)]
     assert dict(fewer.radii) == {0: 1.5, 2: 0.75}
     assert fewer.graph.size() == 2  # the composed step and the closure
     assert subsample(dataset, 1) is dataset
@@ -152,7 +152,7 @@ def test_robust_odometry_is_unwrapped_and_true_closures_follow():
         truth=values,
     )
     fewer = subsample(dataset, 2)
-    assert [tuple(fewer.graph.at(s).keys()) for s in fewer.closures] == [(2, 0), (0, 4)]
+    assert [tuple(fewer.graph.at(s).keys()) for s in closure_slots(fewer)] == [(2, 0), (0, 4)]
     assert [tuple(fewer.graph.at(s).keys()) for s in fewer.true_closures] == [(0, 4)]
     assert list(fewer.truth.keys()) == [0, 2, 4]
     expected = np.diag([0.5, 0.5 + 0.25, 0.5])
@@ -162,11 +162,30 @@ def test_robust_odometry_is_unwrapped_and_true_closures_follow():
 
 def test_a_closure_between_neighbours_does_not_become_odometry(tmp_path):
     """Once the poses between its ends are gone, a closure links neighbours, and still is none of the odometry."""
-    text = "".join(f"VERTEX_SE2 {i} {i} 0 0\n" for i in range(3)) + "EDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\n"
-    fewer = subsample(read_text(tmp_path, text + "EDGE_SE2 0 2 9 0 0 1 0 0 1 0 1\n"), 2)
-    assert fewer.closures == (0,)
+    text = "".join(f"VERTEX_SE2 {i} {i} 0 0\n" for i in range(3)) + "EDGE_SE2 0 2 9 0 0 1 0 0 1 0 1\n"
+    text += "EDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\nEDGE_SE2 1 2 1 0 0 1 0 0 1 0 1\n"
+    fewer = subsample(read_text(tmp_path, text), 2)
+    assert fewer.closures == (1,)
     assert chain_odometry(fewer).atPose2(2).x() == 2
     assert subsample(fewer, 2).graph.size() == 0
+
+
+def test_every_chain_keeps_its_first_pose(tmp_path):
+    """Two sessions under plain numbers, 0 to 4 and 5 to 8: each is thinned out by itself, and stays in one piece."""
+    text = "".join(f"VERTEX_SE2 {i} {i % 5} {i // 5} 0\n" for i in range(9))
+    text += "".join(f"EDGE_SE2 {i} {i + 1} 1 0 0 1 0 0 1 0 1\n" for i in range(8) if i != 4)
+    fewer = subsample(read_text(tmp_path, text + "EDGE_SE2 0 7 2 1 0 1 0 0 1 0 1\n"), 2)
+    assert list(poses_of(fewer.values)) == [0, 2, 4, 5, 7]
+    assert [b.ends for b in between_factors(fewer.graph)] == [(0, 2), (2, 4), (5, 7), (0, 7)]
+    assert fewer.closures == (3,)
+
+
+def test_robots_that_take_turns_are_chained_each_along_its_own_steps(tmp_path):
+    """Even and odd numbers are two robots; no factor leads from one number to the next."""
+    text = "".join(f"VERTEX_SE2 {i} {7 * i} {i % 2} 0\n" for i in range(6))
+    text += "".join(f"EDGE_SE2 {i} {i + 2} 1 0 0 1 0 0 1 0 1\n" for i in range(4))
+    chained = poses_of(chain_odometry(read_text(tmp_path, text)))
+    assert [pose.x() for pose in chained.values()] == [0, 7, 1, 8, 2, 9]
 
 
 def test_what_cannot_be_done_is_said(tmp_path):

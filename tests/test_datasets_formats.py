@@ -1,5 +1,6 @@
 """The other formats: TORO, Victoria Park, KITTI stereo, laser logs, labels beside the file, GTSAM's archives."""
 
+import math
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -9,7 +10,7 @@ import pytest
 from small_files import CARMEN, CHAIN, FLIRTLIB, SCAN, TORO, TORO_3D, VICTORIA, read_text
 
 from pgti_gtsam import datasets
-from pgti_gtsam.datasets.chain import between_factors, poses_of
+from pgti_gtsam.datasets.chain import between_factors, closure_slots, poses_of
 from pgti_gtsam.datasets.formats import gtsam_archive
 from pgti_gtsam.errors import FileFormatError, InvalidOptionError
 
@@ -55,12 +56,12 @@ def test_spatial_edges_put_translation_first_and_euler_angles_as_gtsam_does(tmp_
 
 def test_w100_stores_its_odometry_backwards():
     dataset = datasets.builtin("w100")
-    assert (len(poses_of(dataset.values)), dataset.graph.size(), len(dataset.closures)) == (100, 300, 201)
+    assert (len(poses_of(dataset.values)), dataset.graph.size(), len(closure_slots(dataset))) == (100, 300, 201)
 
 
 def test_sphere2500_comes_with_its_truth():
     dataset = datasets.builtin("sphere2500")
-    assert (len(poses_of(dataset.values)), len(dataset.closures)) == (2500, 2450)
+    assert (len(poses_of(dataset.values)), len(closure_slots(dataset))) == (2500, 2450)
     assert list(dataset.truth.keys()) == list(dataset.values.keys())
 
 
@@ -108,7 +109,7 @@ def test_kitti_00():
     assert (len(poses), dataset.values.size()) == (135, 135 + 26136)
     assert dataset.graph.size() == 134 + 88781
     assert set(dataset.graph.keyVector()) == set(dataset.values.keys())
-    assert dataset.closures == ()
+    assert closure_slots(dataset) == ()
     assert any("assumed sigma of 1 pixel" in note for note in dataset.notes)
     first = next(dataset.graph.at(i) for i in range(134, 140))
     x0, l7 = first.keys()
@@ -176,7 +177,7 @@ def test_radii_are_the_smallest_valid_ranges(tmp_path):
     dataset = read_text(tmp_path, FLIRTLIB)
     assert dict(dataset.radii) == {0: 1.5, 2: 0.75}
     assert "1 poses have no scan with a valid range and so no radius" in dataset.notes
-    assert dataset.closures == (2,)
+    assert closure_slots(dataset) == (2,)
     np.testing.assert_allclose(information(dataset, 0), np.diag([100, 100, 500]), atol=1e-12)
 
 
@@ -201,7 +202,7 @@ def test_keyframes_of_a_log_follow_the_distance_travelled(tmp_path):
     assert dataset.graph.error(dataset.values) == pytest.approx(0.0)
     assert dataset.radii[0] == 1.0
     assert dataset.radii[5] == 2.0  # its own three readings are 2.5, 50 and 2
-    assert dataset.closures == ()
+    assert closure_slots(dataset) == ()
     assert dataset.true_closures is None
     assert any("no drive.relations" in note for note in dataset.notes)
     assert len(poses_of(datasets.read_carmen(tmp_path / "drive.clf", step_m=2.0).values)) == 3
@@ -228,7 +229,7 @@ def test_long_relations_beside_a_log_become_true_closures(tmp_path):
     path = tmp_path / "drive.relations"
     path.write_text(short + "11.0 35.01 4.8 0.1 0 0 0 0.2\n11.0 77.7 4.8 0.1 0 0 0 0.2\n")
     dataset = read_text(tmp_path, CARMEN, "drive.clf")
-    (closure,) = dataset.closures
+    (closure,) = closure_slots(dataset)
     factor = dataset.graph.at(closure)
     first, second = (dataset.values.atPose2(key).x() for key in tuple(factor.keys()))
     assert (first, second) == pytest.approx((0.2, 5.0))
@@ -244,33 +245,35 @@ def test_long_relations_beside_a_log_become_true_closures(tmp_path):
 
 
 def kitti_like(folder, labels):
-    text = "".join(f"EDGE_SE2 {i} {i + 1} 1 0 0 1 0 0 1 0 1\n" for i in range(6))
-    text += "EDGE_SE2 5 0 0 0 0 1 0 0 1 0 1\nEDGE_SE2 0 3 3 0 0 1 0 0 1 0 1\n"
+    turn = math.pi / 3
+    text = "".join(f"EDGE_SE2 {i} {i + 1} 1 0 {turn} 1 0 0 1 0 1\n" for i in range(6))
+    text += f"EDGE_SE2 1 6 -0.5 {-math.sin(turn)} {-turn} 1 0 0 1 0 1\nEDGE_SE2 5 0 0 0 0 1 0 0 1 0 1\n"
     (folder / "k_alpha_0.5_GT_LC.txt").write_text(labels)
     (folder / "k_GT.g2o").write_text("EDGE_SE2 0 1 2 0 0 1 0 0 1 0 1\n")
     return read_text(folder, text, "k_alpha_0.5.g2o")
 
 
-@pytest.mark.parametrize("labels", ["0 3\n", "3 0\n", "# true\n\n3 0\n0 3\n"])
+@pytest.mark.parametrize("labels", ["1 6\n", "6 1\n", "# true\n\n6 1\n1 6\n"])
 def test_labels_name_pairs_in_either_order(tmp_path, labels):
     dataset = kitti_like(tmp_path, labels)
-    assert dataset.closures == (7, 6)  # by the later pose
-    assert dataset.true_closures == {7}
+    assert closure_slots(dataset) == (7, 6)  # by the later pose
+    assert dataset.true_closures == {6}
     assert dataset.truth.atPose2(1).x() == 2.0
     assert "1 of 2 closures measure exactly the identity" in dataset.notes
 
 
 def test_labels_that_fit_no_closure_are_told(tmp_path):
-    dataset = kitti_like(tmp_path, "0 3\n77 78\n1 2\n")
-    assert dataset.true_closures == {7}
+    dataset = kitti_like(tmp_path, "1 6\n77 78\n1 2\n")
+    assert dataset.true_closures == {6}
     assert any(note.startswith("2 pairs") for note in dataset.notes)
     with pytest.raises(FileFormatError, match=r"_GT_LC.txt, line 1: expected 2 fields"):
-        kitti_like(tmp_path, "0 3 5\n")
+        kitti_like(tmp_path, "1 6 5\n")
 
 
 def test_a_file_of_true_loops_says_so_in_its_name(tmp_path):
-    dataset = read_text(tmp_path, CHAIN, "kitti_99_odom_GT_LC.g2o")
-    assert dataset.true_closures == set(dataset.closures) == {2}
+    text = CHAIN + "EDGE_SE2 9 12 -1 0 0 1 0 0 1 0 1\nEDGE_SE2 12 3 -1 0 0 1 0 0 1 0 1\n"
+    dataset = read_text(tmp_path, text, "kitti_99_odom_GT_LC.g2o")
+    assert dataset.true_closures == set(closure_slots(dataset)) == {4}
     assert dataset.truth is None
 
 
@@ -292,7 +295,7 @@ def test_an_archive_gives_back_what_was_written(archives):
     assert dataset.format == "GTSAM archive"
     assert dataset.graph.equals(written.graph, 1e-12)
     assert dataset.values.equals(written.values, 1e-12)
-    assert dataset.closures == written.closures == (2,)
+    assert closure_slots(dataset) == closure_slots(written)
 
 
 def test_empty_slots_survive(archives):

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from small_files import CHAIN, G2O, G2O_3D, read_text
 
 from pgti_gtsam import datasets
-from pgti_gtsam.datasets.chain import poses_of
+from pgti_gtsam.datasets.chain import closure_slots, poses_of
 from pgti_gtsam.errors import FileFormatError
 
 L0, L5 = gtsam.symbol("l", 0), gtsam.symbol("l", 5)
@@ -55,13 +55,14 @@ def test_landmarks_that_gtsam_drops_are_read(name, landmarks, sightings):
     assert len(poses_of(dataset.values)) == 1000
     assert dataset.values.size() == 1000 + landmarks
     assert dataset.graph.size() == 999 + sightings
-    assert dataset.closures == ()
+    assert closure_slots(dataset) == ()
 
 
 def test_poses_and_landmarks_of_one_number_are_two_variables(tmp_path):
     dataset = read_text(tmp_path, G2O)
     assert set(dataset.values.keys()) == {0, 1, 2, L0, L5}
-    assert dataset.closures == (3,)  # the edge 2 → 0; factors keep the order of the file
+    assert set(dataset.graph.at(3).keys()) == {0, 2}  # factors keep the order of the file
+    assert closure_slots(dataset) == ()  # that edge says what the two steps say
     np.testing.assert_allclose(dataset.values.atPoint2(L0), [1, 1])
     np.testing.assert_allclose(dataset.values.atPoint2(L5), [1, 2], atol=1e-12)  # has no vertex: from its sighting
 
@@ -143,10 +144,9 @@ def test_positions_become_gps_factors_and_fix_none(tmp_path):
     assert any("FIX" in note for note in read_text(tmp_path, G2O).notes)
 
 
-def test_without_vertices_poses_are_chained_and_odometry_goes_by_neighbours(tmp_path):
+def test_without_vertices_poses_are_chained_along_the_steps(tmp_path):
     dataset = read_text(tmp_path, CHAIN)
     assert {key: round(pose.x(), 9) for key, pose in poses_of(dataset.values).items()} == {3: 0, 5: 1, 9: 2}
-    assert dataset.closures == (2,)
     assert "the file stores no poses: they are chained from the odometry" in dataset.notes
 
 

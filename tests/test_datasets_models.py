@@ -246,7 +246,7 @@ def test_pyfg_holds_covariances_and_names_robots_by_letter(tmp_path):
     np.testing.assert_allclose(dataset.graph.at(0).noiseModel().sigmas(), [0.2, 0.3, 0.1])
     np.testing.assert_allclose(dataset.graph.at(3).noiseModel().sigmas(), [0.5])
     assert dataset.graph.error(dataset.values) == pytest.approx(0.0, abs=1e-9)
-    assert [dataset.graph.at(slot).keys() for slot in dataset.closures] == [
+    assert [dataset.graph.at(slot).keys() for slot in datasets.closure_slots(dataset)] == [
         [gtsam.symbol("A", 1), gtsam.symbol("B", 0)]
     ]
     assert any("1 ranges between two poses are left out" in note for note in dataset.notes)

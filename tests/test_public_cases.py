@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from pgti_gtsam import datasets
-from pgti_gtsam.datasets.chain import between_factors, poses_of
+from pgti_gtsam.datasets.chain import between_factors, closure_slots, poses_of
 
 CASES = Path(__file__).parents[1] / ".." / "shared" / "data" / "public_cases"
 pytestmark = pytest.mark.skipif(not CASES.is_dir(), reason="the development data are not beside the checkout")
@@ -98,7 +98,7 @@ def test_symbols_are_the_labels_of_keyframes(audited):
 
 def test_a_switchable_closure_is_one_closure(run):
     dataset = datasets.read(CASES / "c10_switchable.g2o")
-    assert [set(dataset.graph.at(slot).keys()) for slot in dataset.closures] == [{0, 7}]
+    assert [set(dataset.graph.at(slot).keys()) for slot in closure_slots(dataset)] == [{0, 7}]
     code, out, _ = run("gate", CASES / "c10_switchable.g2o", "--radius", 0.5)
     assert code == 0
     assert "1 closures" in out

@@ -99,7 +99,13 @@ def audit(
         audited = _audit(files, radius, cloud, edges, min_shared_landmarks, beta, optimise, stage)
         document = audited.document
         if sweep:
-            swept = radius_sweep(audited.dataset.graph, audited.values, audited.diagnosis, progress=stage)
+            swept = radius_sweep(
+                audited.dataset.graph,
+                audited.values,
+                audited.diagnosis,
+                closures=audited.dataset.closures,
+                progress=stage,
+            )
             document["radius_sweep"] = sweep_rows(swept)
         if json is not None:
             stage("writing JSON")
@@ -171,7 +177,11 @@ def _audit(
         before, after = dataset.graph.error(dataset.values), dataset.graph.error(best)
         notes.append(f"the optimum is audited: error {before:.4g} as stored, {after:.4g} there")
 
-    adaptation: dict[str, Any] = {"edges": split_names(edges), "min_shared_landmarks": min_shared_landmarks}
+    adaptation: dict[str, Any] = {
+        "edges": split_names(edges),
+        "min_shared_landmarks": min_shared_landmarks,
+        "closures": dataset.closures,
+    }
     if radius == "auto":
         radii = tied_radius_m(from_gtsam(dataset.graph, best, radii=1.0, **adaptation))
         notes.append(f"radius {radii:.3g} m around every keyframe: the median distance of keyframes that closures tie")

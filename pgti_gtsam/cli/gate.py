@@ -79,7 +79,7 @@ def gate(
             dataset.graph,
             dataset.values,
             radii,
-            closures=dataset.closures if dataset.states_closures else None,
+            closures=dataset.closures,
             gate=_gate(edges, min_shared_landmarks, rule=rule, min_probability=min_probability, scores=scores),
             progress=lambda done, of: tell("judging closures", done, of),
         )
@@ -135,7 +135,7 @@ def closures(
             dataset.graph,
             dataset.values,
             radii,
-            closures=dataset.closures if dataset.states_closures else None,
+            closures=dataset.closures,
             gate=_gate(edges, min_shared_landmarks),
             progress=lambda done, of: tell("judging closures", done, of),
         )

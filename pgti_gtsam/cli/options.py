@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
 from typing import Annotated, Any
@@ -103,7 +103,7 @@ def read_map(files: MapFiles, radius: float | None, cloud: Path | None, every: i
     PgtiError
         Those of reading, of `subsample` and of `radii_from_cloud`.
     """
-    dataset = _thinned(files.read(), every)
+    dataset = datasets.subsample(files.read(), every)
     READ_NOTES.set(dataset.notes)
     if cloud is None:
         return dataset, radius if radius is not None else dataset.radii
@@ -112,14 +112,6 @@ def read_map(files: MapFiles, radius: float | None, cloud: Path | None, every: i
     keyframes = read_keyframes(dataset.values)
     distances = radii_from_cloud(keyframes.positions, cloud)
     return dataset, dict(zip(keyframes.keys.tolist(), distances.tolist(), strict=True))
-
-
-def _thinned(dataset: datasets.Dataset, every: int) -> datasets.Dataset:
-    kept = datasets.subsample(dataset, every)
-    lost = len(dataset.closures) - len(kept.closures)
-    if not lost:
-        return kept
-    return replace(kept, notes=(*kept.notes, f"{lost} closures went with the poses that were not kept (--every)"))
 
 
 def split_names(names: str | None) -> tuple[str, ...] | None:

@@ -1,6 +1,6 @@
 """Factor graphs from files: one reader per format, the format found from the content; and to g2o files."""
 
-from pgti_gtsam.datasets.chain import chain_odometry
+from pgti_gtsam.datasets.chain import chain_odometry, closure_slots
 from pgti_gtsam.datasets.dataset import Dataset
 from pgti_gtsam.datasets.g2o_writer import Written, write_g2o
 from pgti_gtsam.datasets.one_map import read_one_map
@@ -13,6 +13,7 @@ __all__ = [
     "Written",
     "builtin",
     "chain_odometry",
+    "closure_slots",
     "read",
     "read_carmen",
     "read_one_map",

@@ -12,11 +12,12 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from pgti_gtsam.datasets.chain import Between, Pose, between_factors, closure_slots, insert_point, place_by_factors
+from pgti_gtsam.datasets.chain import Between, Pose, between_factors, insert_point, place_by_factors
 from pgti_gtsam.datasets.dataset import Dataset
 from pgti_gtsam.datasets.landmarks import Sighting
 from pgti_gtsam.datasets.text import Table, TextFile, quote
 from pgti_gtsam.errors import FileFormatError
+from pgti_gtsam.factor_graphs import between_factor
 from pgti_gtsam.pose_graph import key_label
 
 # Assumed for the steps of a trajectory, which brings no uncertainty: rotation 0.01 rad, translation 0.1 m
@@ -66,12 +67,6 @@ def euler_poses(numbers: NDArray[np.float64]) -> list[gtsam.Pose3]:
     return [gtsam.Pose3(gtsam.Rot3.RzRyRx(row[3:6]), row[:3]) for row in numbers]
 
 
-def between(first: int, second: int, pose: Pose, model: gtsam.noiseModel.Base) -> gtsam.NonlinearFactor:
-    """The factor that measures the second pose from the first, in the plane or in space."""
-    make = gtsam.BetweenFactorPose2 if isinstance(pose, gtsam.Pose2) else gtsam.BetweenFactorPose3
-    return make(first, second, pose, model)
-
-
 def between_entries(
     file: TextFile, table: Table, measured: Iterable[Pose], models: Iterable[gtsam.noiseModel.Base]
 ) -> list[Entry]:
@@ -82,7 +77,7 @@ def between_entries(
         if first == second:
             selves.append(line)
         else:
-            entries.append(Entry(line, (first, second), between(first, second, pose, model)))
+            entries.append(Entry(line, (first, second), between_factor(first, second, pose, model)))
     if selves:
         file.notes.append(f"left out {len(selves)} edges from a vertex to itself (first on line {selves[0]})")
     return entries
@@ -94,7 +89,7 @@ def trajectory_steps(poses: Mapping[int, Pose]) -> list[Entry]:
     for (i, before), (j, after) in pairwise(poses.items()):
         sigmas = STEP_SIGMAS[2 if isinstance(before, gtsam.Pose2) else 3]
         model = gtsam.noiseModel.Diagonal.Sigmas(np.array(sigmas))
-        entries.append(Entry(0, (i, j), between(i, j, before.between(after), model)))
+        entries.append(Entry(0, (i, j), between_factor(i, j, before.between(after), model)))
     return entries
 
 
@@ -104,12 +99,13 @@ def assemble(
     format: str,
     poses: Mapping[int, Pose],
     entries: Sequence[Entry],
+    loops: Sequence[Entry] | None = None,
     points: Mapping[int, NDArray[np.float64]] | None = None,
     sightings: Sequence[Sighting] = (),
     radii: Mapping[int, float] | None = None,
     known: Collection[str] = (),
 ) -> Dataset:
-    """Check that everything named exists, give every variable a value, find the closures.
+    """Check that everything named exists, give every variable a value.
 
     Parameters
     ----------
@@ -122,6 +118,8 @@ def assemble(
         is left out, unless no factor is there: then consecutive poses are tied as a trajectory.
     entries : sequence of Entry
         Factors on poses.
+    loops : sequence of Entry, optional
+        Factors that the file itself calls loop closures: those between the poses of `entries` are odometry then.
     points : mapping of int to (2,) or (3,) float, optional
         Stored landmarks by key; one without a value is put where its nearest sighting has it.
     sightings : sequence of Sighting
@@ -138,6 +136,9 @@ def assemble(
         without vertices a pose that no chain of factors reaches, or an unknown line that ties two poses.
     """
     # every pose that a factor holds
+    stated = loops is not None
+    loops = loops or ()
+    entries = [*entries, *loops]
     held = {key for entry in entries for key in entry.poses} | {sighting.pose for sighting in sightings}
     ignored = _unknown_edges(file, known, held | poses.keys())
     if not held and len(poses) > 1:
@@ -147,9 +148,10 @@ def assemble(
 
     # factors in the order of the file
     graph = gtsam.NonlinearFactorGraph()
-    by_line: list[Entry | Sighting] = [*entries, *sightings]
-    for named in sorted(by_line, key=itemgetter(0)):
+    by_line: list[Entry | Sighting] = sorted([*entries, *sightings], key=itemgetter(0))
+    for named in by_line:
         graph.push_back(named.factor)
+    closing = set(map(id, loops))
     betweens = between_factors(graph)
 
     if sightings and not betweens:
@@ -174,8 +176,8 @@ def assemble(
         format=format,
         graph=graph,
         values=_values(placed, landmarks),
+        closures=tuple(slot for slot, named in enumerate(by_line) if id(named) in closing) if stated else None,
         radii=None if radii is None else MappingProxyType({key: radii[key] for key in radii if key in placed}),
-        closures=closure_slots(sorted(placed), betweens),
         notes=tuple(file.notes),
         ignored_edges=ignored,
     )
@@ -225,10 +227,10 @@ def _place_poses(file: TextFile, held: Collection[int], betweens: Sequence[Betwe
         raise file.error("holds no pose and no edge between poses")
     keys = sorted(held)
     origin = type(betweens[0].factor.measured())()
-    placed, closures_used = place_by_factors(keys, betweens, origin)
+    placed, others_used = place_by_factors(keys, betweens, origin)
     file.notes.append("the file stores no poses: they are chained from the odometry")
-    if closures_used:
-        file.notes.append(f"the odometry is broken: poses were placed through {closures_used} closures")
+    if others_used:
+        file.notes.append(f"the odometry is broken: poses were placed through {others_used} closures")
     return placed, f"has no vertex line, and no chain of edges leads there from {keys[0]}"
 
 

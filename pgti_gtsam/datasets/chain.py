@@ -1,26 +1,25 @@
-"""Odometry, loop closures, and poses placed by chaining one factor after the other.
+"""Poses placed by chaining one factor between poses after the other.
 
-Odometry is what links two poses that follow each other in the order of their keys, in either direction:
-keys may skip numbers and factors may point backwards. Poses whose symbols have different letters, as those of
-two robots or sessions have, do not follow each other. Every other factor between poses is a closure.
+What is odometry and what a loop closure is told by the file, or else by `track.roles`.
 """
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Mapping, Sequence
-from itertools import pairwise
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, TypeAlias
 
 import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
+from pgti_gtsam.adapter import from_gtsam
 from pgti_gtsam.datasets.dataset import Dataset
+from pgti_gtsam.factor_graphs import BETWEEN
+from pgti_gtsam.track import Tie, closure_edges, roles, track_of
 
 Pose: TypeAlias = Any  # a gtsam.Pose2 or gtsam.Pose3: typing knows no pair of them that multiply
 LETTER = 56  # bits of a symbol's index; its letter stands above them
-BETWEEN = (gtsam.BetweenFactorPose2, gtsam.BetweenFactorPose3)
 
 
 class Between(NamedTuple):
@@ -60,6 +59,16 @@ def insert_point(values: gtsam.Values, key: int, point: NDArray[np.float64]) -> 
     insert(key, np.asarray(point, dtype=float))
 
 
+class Tracked(NamedTuple):
+    """Keys of the poses chain by chain, and slots of the loop closures.
+
+    Closures that no file names are in the order of their later poses.
+    """
+
+    chains: list[list[int]]
+    closures: tuple[int, ...]
+
+
 def between_factors(graph: gtsam.NonlinearFactorGraph) -> list[Between]:
     """The factors between two different poses, by slot; empty slots are passed over."""
     found = []
@@ -72,38 +81,38 @@ def between_factors(graph: gtsam.NonlinearFactorGraph) -> list[Between]:
     return found
 
 
-def odometry_factors(dataset: Dataset) -> list[Between]:
-    """The factors between poses that are no closures of the dataset, by slot."""
-    closures = set(dataset.closures)
-    return [between for between in between_factors(dataset.graph) if between.slot not in closures]
+def tracked(dataset: Dataset) -> Tracked:
+    """The chains of a dataset and its loop closures: those that the file names, or what `track.roles` takes for them.
+
+    Raises
+    ------
+    PgtiError
+        Those of `from_gtsam`.
+    """
+    keys = list(poses_of(dataset.values))
+    betweens = {between.slot: between for between in between_factors(dataset.graph)}
+    if not betweens:
+        return Tracked([keys], ())
+    sources = {"between", "covisibility"}
+    pose_graph = from_gtsam(dataset.graph, dataset.values, radii=1.0, edges=sources, closures=dataset.closures)
+    chain = track_of(pose_graph).chain
+    chains = [np.flatnonzero(chain == number).tolist() for number in range(int(chain.max()) + 1)]
+    rows = np.flatnonzero(closure_edges(pose_graph)).tolist()
+    found = [slot for row in rows for slot in pose_graph.edge_slots[row] if slot in betweens]
+    found.sort(key=lambda slot: (betweens[slot].ends[1], slot))
+    closures = tuple(found) if dataset.closures is None else dataset.closures
+    return Tracked([[keys[k] for k in rows] for rows in chains], closures)
 
 
-def neighbouring(keys: Sequence[int]) -> list[tuple[int, int]]:
-    """Pairs of ascending keys that follow each other and whose symbols have one letter."""
-    return [(before, key) for before, key in pairwise(keys) if before >> LETTER == key >> LETTER]
-
-
-def odometry_links(keys: Sequence[int], betweens: Iterable[Between]) -> dict[tuple[int, int], Between]:
-    """The first factor that links each pair of neighbours in ``keys``, which ascend."""
-    neighbours = set(neighbouring(keys))
-    links: dict[tuple[int, int], Between] = {}
-    for between in betweens:
-        if between.ends in neighbours:
-            links.setdefault(between.ends, between)
-    return links
-
-
-def closure_slots(keys: Sequence[int], betweens: Iterable[Between]) -> tuple[int, ...]:
-    """Slots of the factors that link no neighbours in ``keys``, by the later of their poses."""
-    neighbours = set(neighbouring(keys))
-    closures = [between for between in betweens if between.ends not in neighbours]
-    return tuple(between.slot for between in sorted(closures, key=lambda closure: (closure.ends[1], closure.slot)))
+def closure_slots(dataset: Dataset) -> tuple[int, ...]:
+    """Slots of the loop closures, as in `Tracked`; raises what `tracked` raises."""
+    return tracked(dataset).closures if dataset.closures is None else dataset.closures
 
 
 def place_by_factors(keys: Sequence[int], betweens: Sequence[Between], origin: Pose) -> tuple[dict[int, Pose], int]:
-    """Place poses by chaining factors from the first key, through as few closures as the graph allows.
+    """Place poses by chaining factors from the first key, along steps of the track as far as these lead.
 
-    A breadth-first search in which odometry costs nothing and a closure one. Poses that no chain of
+    A breadth-first search in which a step costs nothing and another factor one. Poses that no chain of
     factors reaches are left out.
 
     Parameters
@@ -118,39 +127,40 @@ def place_by_factors(keys: Sequence[int], betweens: Sequence[Between], origin: P
     Returns
     -------
     poses : dict of int to pose
-    closures_used : int
-        How many closures had to stand in for missing odometry.
+    others_used : int
+        How many factors that are no steps had to stand in for missing ones.
     """
-    neighbours = set(neighbouring(keys))
-    leaving: dict[int, list[Between]] = {}
-    for between in betweens:
+    place = {key: k for k, key in enumerate(keys)}
+    ties = [Tie(place[i], place[j], between.step_from(i)) for between in betweens for i, j in [between.ends]]
+    stepping = roles(np.array(keys, dtype=np.uint64), ties).is_step.tolist()
+    leaving: dict[int, list[tuple[Between, bool]]] = {}
+    for between, is_step in zip(betweens, stepping, strict=True):
         for key in between.ends:
-            leaving.setdefault(key, []).append(between)
+            leaving.setdefault(key, []).append((between, is_step))
 
-    # along odometry first, across a closure where nothing else leads
+    # along steps first, across another factor where nothing else leads
     poses: dict[int, Pose] = {}
-    closures_used = 0
-    queue: deque[tuple[int, Pose, bool]] = deque([(keys[0], origin, False)])
+    others_used = 0
+    queue: deque[tuple[int, Pose, bool]] = deque([(keys[0], origin, True)])
     while queue:
-        key, pose, is_closure = queue.popleft()
+        key, pose, by_step = queue.popleft()
         if key in poses:
             continue
         poses[key] = pose
-        closures_used += is_closure
-        for between in leaving.get(key, ()):
+        others_used += not by_step
+        for between, is_step in leaving.get(key, ()):
             other = between.second if key == between.first else between.first
             if other not in poses:
-                is_closure = between.ends not in neighbours
-                add = queue.append if is_closure else queue.appendleft
-                add((other, pose * between.step_from(key), is_closure))
-    return poses, closures_used
+                add = queue.appendleft if is_step else queue.append
+                add((other, pose * between.step_from(key), is_step))
+    return poses, others_used
 
 
 def chain_odometry(dataset: Dataset) -> gtsam.Values:
     """First values as an odometer alone gives them: the drift is back that closures had taken out.
 
-    The first pose keeps its value, every later one is chained to the one before it. Where odometry is
-    missing, the next stretch starts at its stored pose. A landmark moves rigidly with the earliest pose
+    The first pose keeps its value, every later one is chained to the latest before it that odometry ties it to. Where
+    odometry is missing, the next stretch starts at its stored pose. A landmark moves rigidly with the earliest pose
     that sees it; all other variables keep their values.
 
     Parameters
@@ -162,13 +172,12 @@ def chain_odometry(dataset: Dataset) -> gtsam.Values:
     gtsam.Values
         A value for every variable of ``dataset.values``, which stays untouched.
     """
-    stored = poses_of(dataset.values)
-    keys = list(stored)
-    links = odometry_links(keys, odometry_factors(dataset))
-    chained = {key: stored[key] for key in keys[:1]}
-    for before, key in pairwise(keys):
-        link = links.get((before, key))
-        chained[key] = stored[key] if link is None else chained[before] * link.step_from(before)
+    stored, closures = poses_of(dataset.values), set(closure_slots(dataset))
+    leading = _leading([between for between in between_factors(dataset.graph) if between.slot not in closures])
+    chained: dict[int, Pose] = {}
+    for key in stored:
+        link = leading.get(key)
+        chained[key] = stored[key] if link is None else chained[link.ends[0]] * link.step_from(link.ends[0])
     values = gtsam.Values(dataset.values)
     for key, pose in chained.items():
         values.update(key, pose)
@@ -178,6 +187,16 @@ def chain_odometry(dataset: Dataset) -> gtsam.Values:
             values.erase(point)
             insert_point(values, point, chained[key].transformFrom(stored[key].transformTo(position)))
     return values
+
+
+def _leading(odometry: Sequence[Between]) -> dict[int, Between]:
+    """The odometry that leads to each key from the latest one before it."""
+    leading: dict[int, Between] = {}
+    for between in odometry:
+        before, key = between.ends
+        if key not in leading or before > leading[key].ends[0]:
+            leading[key] = between
+    return leading
 
 
 def earliest_observers(graph: gtsam.NonlinearFactorGraph, poses: Mapping[int, Pose]) -> dict[int, int]:

@@ -29,12 +29,11 @@ class Dataset:
         The stored estimate of every variable, or a first one where the file stores none.
     radii : mapping of int to float, or None
         Metres of free space around the poses whose scans the file holds.
-    closures : tuple of int
-        Slots of the factors between poses that are not odometry, by the later of their poses.
-    states_closures : bool
-        Whether the file itself says which factors these are; otherwise they are found by the order of keys.
+    closures : tuple of int, or None
+        Slots of the loop closures, where the file itself says which factors these are: all others between poses are
+        odometry then. None where `track.roles` has to tell (`chain.closure_slots` gives them in either case).
     true_closures : frozenset of int, or None
-        Those of them that are known to be true; None when nothing is known.
+        Those that are known to be true; None when nothing is known.
     truth : gtsam.Values, or None
         Ground-truth poses, in a frame of their own.
     notes : tuple of str
@@ -50,8 +49,7 @@ class Dataset:
     graph: gtsam.NonlinearFactorGraph
     values: gtsam.Values
     radii: Mapping[int, float] | None = None
-    closures: tuple[int, ...] = ()
-    states_closures: bool = False
+    closures: tuple[int, ...] | None = None
     true_closures: frozenset[int] | None = None
     truth: gtsam.Values | None = None
     notes: tuple[str, ...] = ()

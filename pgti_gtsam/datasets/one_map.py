@@ -9,7 +9,7 @@ from typing import Any
 
 import gtsam
 
-from pgti_gtsam.datasets.chain import between_factors, closure_slots, insert_point, point_of, poses_of
+from pgti_gtsam.datasets.chain import insert_point, point_of, poses_of
 from pgti_gtsam.datasets.dataset import Dataset
 from pgti_gtsam.datasets.reader import read, read_source
 from pgti_gtsam.datasets.source import Source
@@ -67,13 +67,16 @@ def _side_by_side(datasets: Sequence[Dataset]) -> Dataset:
     """One dataset whose keys tell by their letter which one they come from."""
     graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
     radii: dict[int, float] = {}
+    closures: list[int] = []
     notes = ["identifiers come in several files: they are taken for different keyframes"]
     for letter, dataset in zip(LETTERS, datasets, strict=False):
         poses = poses_of(dataset.values)
         keys = {key: _renamed(key, letter if key in poses else letter.upper()) for key in dataset.values.keys()}  # noqa: SIM118
+        stated = set(dataset.closures or ())
         for slot in range(dataset.graph.size()):
             factor: Any = dataset.graph.at(slot)
             if factor is not None:
+                closures += [graph.size()] if slot in stated else []
                 graph.push_back(factor.rekey([keys[key] for key in factor.keys()]))  # noqa: SIM118  no mapping
         for key, pose in poses.items():
             values.insert(keys[key], pose)
@@ -90,7 +93,7 @@ def _side_by_side(datasets: Sequence[Dataset]) -> Dataset:
         graph=graph,
         values=values,
         radii=radii or None,
-        closures=closure_slots(list(poses_of(values)), between_factors(graph)),
+        closures=tuple(closures) if all(dataset.closures is not None for dataset in datasets) else None,
         notes=tuple(dict.fromkeys(notes)),
         ignored_edges=sum(dataset.ignored_edges for dataset in datasets),
     )

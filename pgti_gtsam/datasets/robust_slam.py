@@ -11,14 +11,15 @@ beside them.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import gtsam
 import numpy as np
 
-from pgti_gtsam.datasets.chain import between_factors
+from pgti_gtsam.datasets.chain import closure_slots
 from pgti_gtsam.datasets.dataset import Dataset
 from pgti_gtsam.datasets.source import read_bytes, read_lines
 
@@ -36,15 +37,15 @@ def with_labels(dataset: Dataset, path: Path) -> Dataset:
     """
     name = DRIFTING.match(dataset.name)
     if name and name[2].endswith(LABELS):
-        return replace(dataset, true_closures=frozenset(dataset.closures))
+        return replace(dataset, true_closures=frozenset(closure_slots(dataset)))
     labels = path.with_name(f"{dataset.name}{LABELS}.txt")
     if not labels.is_file():
         return dataset
     is_empty = not read_bytes(labels).strip()  # a sequence that never comes back has no true loop
     pairs = [] if is_empty else read_lines(labels).rows(ids=2, widths=[0]).ids.tolist()
     true = {frozenset(pair) for pair in pairs}  # the order of a pair says nothing
-    ends = {slot: frozenset(dataset.graph.at(slot).keys()) for slot in dataset.closures}
-    notes = [f"{labels.name} names the true closures", *_identity_note(dataset)]
+    ends = {slot: frozenset(dataset.graph.at(slot).keys()) for slot in closure_slots(dataset)}
+    notes = [f"{labels.name} names the true closures", *_identity_note(dataset, ends)]
     if lost := len(true - set(ends.values())):
         notes.append(f"{lost} pairs in {labels.name} are no closure of the graph")
     return replace(
@@ -54,9 +55,9 @@ def with_labels(dataset: Dataset, path: Path) -> Dataset:
     )
 
 
-def _identity_note(dataset: Dataset) -> list[str]:
-    closures = set(dataset.closures)
-    measured = [b.factor.measured().matrix() for b in between_factors(dataset.graph) if b.slot in closures]
+def _identity_note(dataset: Dataset, closures: Iterable[int]) -> list[str]:
+    factors: list[Any] = [dataset.graph.at(slot) for slot in closures]
+    measured = [factor.measured().matrix() for factor in factors]
     count = sum(np.array_equal(matrix, np.eye(len(matrix))) for matrix in measured)
     return [f"{count} of {len(measured)} closures measure exactly the identity"] if count else []
 

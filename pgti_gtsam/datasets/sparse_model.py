@@ -79,7 +79,6 @@ def sparse_model(
         graph=graph,
         values=values,
         closures=tuple(range(len(ties), len(ties) + len(loops))),
-        states_closures=True,
         notes=(*notes, *_remarks(len(poses) - len(kept), len(ties) + len(loops))),
     )
 

@@ -13,9 +13,16 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from pgti_gtsam.datasets.chain import Between, Pose, odometry_factors, odometry_links, poses_of
+from pgti_gtsam.datasets.chain import (
+    Between,
+    Pose,
+    between_factors,
+    poses_of,
+    tracked,
+)
 from pgti_gtsam.datasets.dataset import Dataset
 from pgti_gtsam.errors import InvalidGraphError, InvalidOptionError
+from pgti_gtsam.factor_graphs import between_factor
 from pgti_gtsam.pose_graph import key_label
 
 
@@ -27,7 +34,7 @@ class Step(NamedTuple):
 
 
 def subsample(dataset: Dataset, every: int = 5) -> Dataset:
-    """Keep every ``every``-th pose, counted from the first; keys stay what they were.
+    """Keep every ``every``-th pose of each chain, counted from its first; keys stay what they were.
 
     Closures, sightings and other factors stay where all their poses do, landmarks where a factor does.
     Where a step of odometry is missing, so is the one composed of it.
@@ -52,16 +59,23 @@ def subsample(dataset: Dataset, every: int = 5) -> Dataset:
     """
     if every < 1:
         raise InvalidOptionError(f"expected to keep every pose (1) or fewer, got every={every}")
-    keys = list(poses_of(dataset.values))
-    dropped = set(keys) - set(keys[::every])
-    if not dropped:
+    if every == 1:
         return dataset
+    keys, (chains, closures) = list(poses_of(dataset.values)), tracked(dataset)
+    dropped = set(keys) - {key for chain in chains for key in chain[::every]}
 
     # steps in between become one
-    odometry = odometry_factors(dataset)
-    graph = _composed_odometry(keys, odometry_links(keys, odometry), every)
-    note = f"one pose in {every} is kept, {len(keys) - len(dropped)} of {len(keys)}; {graph.size()} composed steps"
-    slots = _copy_factors(dataset.graph, graph, {step.slot for step in odometry}, dropped)
+    closing = set(closures)
+    links = _links(chains, [between for between in between_factors(dataset.graph) if between.slot not in closing])
+    graph = _composed_odometry(chains, links, every)
+    notes = [f"one pose in {every} is kept, {len(keys) - len(dropped)} of {len(keys)}; {graph.size()} composed steps"]
+    steps = {between.slot for betweens in links.values() for between in betweens}
+    slots = _copy_factors(dataset.graph, graph, steps, dropped)
+
+    # closures stay closures, even where the poses between their ends are gone
+    kept = tuple(slots[slot] for slot in closures if slot in slots)
+    if len(kept) < len(closures):
+        notes.append(f"{len(closures) - len(kept)} closures went with the poses that were not kept")
 
     # all else that names a pose
     radii, true, truth = dataset.radii, dataset.true_closures, dataset.truth
@@ -70,10 +84,10 @@ def subsample(dataset: Dataset, every: int = 5) -> Dataset:
         graph=graph,
         values=_without(dataset.values, dropped | _unseen(dataset.values, graph, keys)),
         radii=None if radii is None else MappingProxyType({k: radii[k] for k in radii if k not in dropped}),
-        closures=tuple(slots[slot] for slot in dataset.closures if slot in slots),
+        closures=kept,
         true_closures=None if true is None else frozenset(slots[slot] for slot in true if slot in slots),
         truth=None if truth is None else _without(truth, dropped),
-        notes=(*dataset.notes, note),
+        notes=(*dataset.notes, *notes),
     )
 
 
@@ -88,17 +102,26 @@ def compose(first: Step, second: Step) -> Step:
     return Step(first.pose * second.pose, covariance)
 
 
+def _links(chains: Sequence[Sequence[int]], odometry: Sequence[Between]) -> dict[tuple[int, int], list[Between]]:
+    """The odometry from each pose to the next on its chain."""
+    links: dict[tuple[int, int], list[Between]] = {pair: [] for chain in chains for pair in pairwise(chain)}
+    for between in odometry:
+        if between.ends in links:
+            links[between.ends].append(between)
+    return links
+
+
 def _composed_odometry(
-    keys: Sequence[int], links: Mapping[tuple[int, int], Between], every: int
+    chains: Sequence[Sequence[int]], links: Mapping[tuple[int, int], Sequence[Between]], every: int
 ) -> gtsam.NonlinearFactorGraph:
     graph = gtsam.NonlinearFactorGraph()
-    for i, j in pairwise(range(0, len(keys), every)):
-        pairs = list(pairwise(keys[i : j + 1]))
-        if all(pair in links for pair in pairs):
-            step = reduce(compose, [_step(links[pair], pair[0]) for pair in pairs])
-            make = gtsam.BetweenFactorPose2 if len(step.covariance) == 3 else gtsam.BetweenFactorPose3
-            model = gtsam.noiseModel.Gaussian.Covariance(step.covariance)
-            graph.push_back(make(keys[i], keys[j], step.pose, model))
+    for keys in chains:
+        for i in range(0, len(keys) - every, every):
+            pairs = list(pairwise(keys[i : i + every + 1]))
+            if all(links[pair] for pair in pairs):
+                step = reduce(compose, [_step(links[pair][0], pair[0]) for pair in pairs])
+                model = gtsam.noiseModel.Gaussian.Covariance(step.covariance)
+                graph.push_back(between_factor(keys[i], keys[i + every], step.pose, model))
     return graph
 
 
@@ -121,14 +144,14 @@ def _step(link: Between, key: int) -> Step:
 def _copy_factors(
     source: gtsam.NonlinearFactorGraph,
     target: gtsam.NonlinearFactorGraph,
-    odometry: Collection[int],
+    steps: Collection[int],
     dropped: Set[int],
 ) -> dict[int, int]:
-    """Add the factors that are no odometry and touch no dropped pose; their old slots to their new ones."""
+    """Add the factors that are no steps and touch no dropped pose; their old slots to their new ones."""
     slots = {}
     for slot in range(source.size()):
         factor = source.at(slot)
-        if factor is not None and slot not in odometry and dropped.isdisjoint(factor.keys()):
+        if factor is not None and slot not in steps and dropped.isdisjoint(factor.keys()):
             slots[slot] = target.size()
             target.push_back(factor)
     return slots

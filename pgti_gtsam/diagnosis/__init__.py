@@ -35,6 +35,7 @@ def diagnose(
     radii: float | Mapping[int, float] | None = None,
     edges: Collection[str] | None = None,
     min_shared_landmarks: int | None = None,
+    closures: Collection[int] | None = None,
     beta: float = 0.5,
     progress: Callable[[str], None] = lambda step: None,
 ) -> Diagnosis:
@@ -45,7 +46,7 @@ def diagnose(
     graph : gtsam.NonlinearFactorGraph
     values : gtsam.Values
         An optimum of the graph: all scores are of the map that these values draw.
-    radii, edges, min_shared_landmarks
+    radii, edges, min_shared_landmarks, closures
         As in `from_gtsam`.
     beta : float
         As in `assess`.
@@ -60,7 +61,9 @@ def diagnose(
         Those of `from_gtsam` and `assess`.
     """
     progress("adapting")
-    pose_graph = from_gtsam(graph, values, radii=radii, edges=edges, min_shared_landmarks=min_shared_landmarks)
+    pose_graph = from_gtsam(
+        graph, values, radii=radii, edges=edges, min_shared_landmarks=min_shared_landmarks, closures=closures
+    )
 
     progress("checking the estimate")
     step = _convergence(graph, values)
@@ -70,11 +73,11 @@ def diagnose(
 
     progress("weighing closures")
     model = drift_model(graph, values, pose_graph)
-    closures = own_closures(model)
+    judged = own_closures(model)
 
     progress("places")
-    contacts = Contacts.of(pose_graph, integrity, model, closures)
-    places, findings = tuple(contacts.places()), _findings(closures)
+    contacts = Contacts.of(pose_graph, integrity, model, judged)
+    places, findings = tuple(contacts.places()), _findings(judged)
     level, reason = words.verdict(integrity, places, findings)
     return Diagnosis(
         verdict=level,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 
 import gtsam
@@ -30,6 +30,7 @@ def radius_sweep(
     values: gtsam.Values,
     diagnosis: Diagnosis,
     *,
+    closures: Collection[int] | None = None,
     progress: Callable[[str], None] = lambda step: None,
 ) -> list[Swept]:
     """Diagnose a map with its radii scaled by each of `FACTORS`, and its edges chosen as before.
@@ -40,6 +41,8 @@ def radius_sweep(
         The map.
     diagnosis : Diagnosis
         What was found with the radii as they are.
+    closures : collection of int, optional
+        As in `diagnose`.
     progress : callable
         Told in words what is being done.
     """
@@ -60,6 +63,7 @@ def radius_sweep(
                     radii=dict(zip(keys, (factor * pose_graph.radii).tolist(), strict=True)),
                     edges=edges,
                     min_shared_landmarks=shared,
+                    closures=closures,
                 ),
             )
         )

@@ -52,10 +52,11 @@ def intact(name: str, data: Path) -> tuple[Intact, list[int], float]:
     dataset, given = _read(name, data), RADII[name]
     radii = dataset.radii if given is None else given
     optimum = optimised(dataset.graph, dataset.values)
-    poses, closures = poses_of(optimum), set(dataset.closures)
+    poses, closures = poses_of(optimum), datasets.closure_slots(dataset)
+    closing = set(closures)
     base = gtsam.NonlinearFactorGraph()
     for slot in range(dataset.graph.size()):
-        if slot not in closures:
+        if slot not in closing:
             base.push_back(dataset.graph.at(slot))
     found = Intact(
         base=base,
@@ -64,7 +65,7 @@ def intact(name: str, data: Path) -> tuple[Intact, list[int], float]:
         chained=datasets.chain_odometry(dataset),
         radii=radii,
         places=np.array([poses[key].translation() for key in sorted(poses)]),
-        noise=dataset.graph.at(dataset.closures[0]).noiseModel(),
+        noise=dataset.graph.at(closures[0]).noiseModel(),
         match=_identity_2d if isinstance(next(iter(poses.values())), gtsam.Pose2) else _identity_3d,
     )
     return found, sorted(poses), given or float(np.median(list((dataset.radii or {}).values())))
@@ -78,13 +79,13 @@ def _read(name: str, data: Path) -> Any:
     if not name.startswith("kitti"):
         return dataset
     fewer = datasets.subsample(dataset, EVERY)
-    return fewer if len(fewer.closures) == len(dataset.closures) else dataset
+    return fewer if len(datasets.closure_slots(fewer)) == len(datasets.closure_slots(dataset)) else dataset
 
 
 def _revisits(dataset: Any, keys: list[int]) -> tuple[tuple[Any, ...], ...]:
     """Closures beside each other on both stretches, together."""
     row = {key: k for k, key in enumerate(keys)}
-    factors = [dataset.graph.at(slot) for slot in dataset.closures]
+    factors = [dataset.graph.at(slot) for slot in datasets.closure_slots(dataset)]
     pairs = np.array([sorted(row[key] for key in factor.keys()) for factor in factors], dtype=np.int64)  # noqa: SIM118
     together: dict[tuple[int, int], list[Any]] = {}
     for pair, factor in zip(pairs.tolist(), factors, strict=True):

@@ -89,10 +89,11 @@ def parse(source: Source, *, step_m: float = 0.5, step_rad: float = 0.5) -> Data
         file,
         format=NAME,
         poses=dict(enumerate(robot)),
-        entries=[*_entries(odometry, ODOMETRY_SIGMAS, lines), *_entries(loops, RELATION_SIGMAS, lines)],
+        entries=_entries(odometry, ODOMETRY_SIGMAS, lines),
+        loops=_entries(loops, RELATION_SIGMAS, lines),
         radii=_radii(scans, chosen),
     )
-    return replace(dataset, true_closures=frozenset(dataset.closures)) if relations else dataset
+    return replace(dataset, true_closures=frozenset(dataset.closures or ())) if relations else dataset
 
 
 def _choose_keyframes(scans: Sequence[Scan], step_m: float, step_rad: float, wanted: Collection[int]) -> list[int]:

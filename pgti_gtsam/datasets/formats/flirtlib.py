@@ -1,8 +1,8 @@
 """Scan graphs of FLIRTLib: optimised vertices, edges, and the laser scan of every vertex.
 
 ``VERTEX2 id x y θ``, each followed by its ``ROBOTLASER1`` scan, then ``EDGE2`` lines in TORO's order of
-information under the comments ``#SEQUENTIAL EDGES`` and ``#LOOP EDGES``. The radius of a vertex is the smallest
-range of its scan. The scanner of the two published logs sees 180° only, so nothing is known of what lies behind.
+information under the comments ``#SEQUENTIAL EDGES`` and, behind these, ``#LOOP EDGES``. The radius of a vertex is the
+smallest range of its scan. The scanner of the two published logs sees 180° only: nothing is known of what lies behind.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from pgti_gtsam.datasets.source import Format, Source
 from pgti_gtsam.datasets.text import TextFile, note_ignored
 
 NAME = "FLIRTLib scan graph"
+LOOPS = "#LOOP EDGES"
 TAGS = {"VERTEX2", "EDGE2", "ROBOTLASER1"}
 
 
@@ -34,7 +35,16 @@ def parse(source: Source) -> Dataset:
     if missing := len(poses) - len(radii):
         file.notes.append(f"{missing} poses have no scan with a valid range and so no radius")
     note_ignored(file, TAGS)
-    return assemble(file, format=NAME, poses=poses, entries=entries, radii=radii, known=TAGS)
+    first = next((line.number for line in file.comments if line.text == LOOPS), None)
+    return assemble(
+        file,
+        format=NAME,
+        poses=poses,
+        entries=[entry for entry in entries if first is None or entry.line < first],
+        loops=None if first is None else [entry for entry in entries if entry.line > first],
+        radii=radii,
+        known=TAGS,
+    )
 
 
 def _radii(file: TextFile) -> dict[int, float]:

@@ -13,11 +13,12 @@ from pathlib import Path
 import gtsam
 import numpy as np
 
-from pgti_gtsam.datasets.assembly import Entry, assemble, between
+from pgti_gtsam.datasets.assembly import Entry, assemble
 from pgti_gtsam.datasets.dataset import Dataset
 from pgti_gtsam.datasets.formats.trajectory import matrix_poses
 from pgti_gtsam.datasets.source import Format, Source, read_lines
 from pgti_gtsam.datasets.text import parse_table
+from pgti_gtsam.factor_graphs import between_factor
 
 NAME = "GLIM dump"
 GRAPH = "graph.txt"
@@ -49,7 +50,7 @@ def parse(source: Source) -> Dataset:
     blank.notes.append(f"{len(matched)} registrations between submaps measure what the map says, with assumed sigmas")
     model = gtsam.noiseModel.Diagonal.Sigmas(SIGMAS)
     entries = [
-        Entry(0, (i, j), between(i, j, poses[i].between(poses[j]), model))
+        Entry(0, (i, j), between_factor(i, j, poses[i].between(poses[j]), model))
         for i, j in ties
         if i != j and {i, j} <= poses.keys()
     ]

@@ -15,7 +15,6 @@ from xml.etree import ElementTree
 
 import gtsam
 
-from pgti_gtsam.datasets.chain import between_factors, closure_slots, poses_of
 from pgti_gtsam.datasets.dataset import Dataset
 from pgti_gtsam.datasets.foreign import ENDINGS
 from pgti_gtsam.datasets.source import Format, Source, read_bytes, read_text
@@ -66,7 +65,6 @@ def parse(source: Source) -> Dataset:
         format=NAME,
         graph=graph,
         values=values,
-        closures=closure_slots(list(poses_of(values)), between_factors(graph)),
         notes=tuple(notes),
     )
 

@@ -21,12 +21,13 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from pgti_gtsam.datasets.assembly import Entry, assemble, between
+from pgti_gtsam.datasets.assembly import Entry, assemble
 from pgti_gtsam.datasets.dataset import Dataset
 from pgti_gtsam.datasets.landmarks import Sighting, sightings
 from pgti_gtsam.datasets.noise import ROTATION_FIRST, information_models
 from pgti_gtsam.datasets.source import Format, Source
 from pgti_gtsam.datasets.text import Table, TextFile
+from pgti_gtsam.factor_graphs import between_factor
 
 NAME = "RTAB-Map database"
 MAGIC = b"SQLite format 3\0"
@@ -73,20 +74,20 @@ def parse(source: Source) -> Dataset:
     models = information_models(file, _table(ties, keys), information)
     ends = [(keys[link.first], keys[link.second]) for link in ties]
     rows = enumerate(zip(ends, ties, models, strict=True))
-    entries = [Entry(slot, pair, between(*pair, link.pose, model)) for slot, (pair, link, model) in rows]
+    entries = [Entry(slot, pair, between_factor(*pair, link.pose, model)) for slot, (pair, link, model) in rows]
+    odometry, loops = (
+        [entry for entry, link in zip(entries, ties, strict=True) if link.type in kinds]
+        for kinds in (ODOMETRY, CLOSURES)
+    )
     dataset = assemble(
         file,
         format=NAME,
         poses={keys[node]: pose for node, pose in poses.items() if node in keys},
-        entries=entries,
+        entries=odometry,
+        loops=loops,
         sightings=[seen._replace(line=len(entries)) for seen in _sightings(file, tags, keys)],
     )
-    return replace(
-        dataset,
-        closures=tuple(slot for slot, link in enumerate(ties) if link.type in CLOSURES),
-        states_closures=True,
-        names={key: str(node) for node, key in keys.items()},
-    )
+    return replace(dataset, names={key: str(node) for node, key in keys.items()})
 
 
 def _nodes(database: sqlite3.Connection, file: TextFile) -> tuple[dict[int, int], dict[int, gtsam.Pose3]]:

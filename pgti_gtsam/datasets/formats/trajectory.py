@@ -13,10 +13,11 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from pgti_gtsam.datasets.assembly import Entry, assemble, between, quaternion_poses, trajectory_steps
+from pgti_gtsam.datasets.assembly import Entry, assemble, quaternion_poses, trajectory_steps
 from pgti_gtsam.datasets.dataset import Dataset
 from pgti_gtsam.datasets.source import Format, Source, read_lines
 from pgti_gtsam.datasets.text import Table, TextFile, is_number
+from pgti_gtsam.factor_graphs import between_factor
 
 TUM, KITTI = "TUM trajectory", "KITTI trajectory"
 UNIT = 0.02  # a quaternion of two digits departs so far from a length of one
@@ -42,12 +43,19 @@ def parse(source: Source) -> Dataset:
     file.notes.append(
         "a trajectory holds no edge: consecutive poses are tied, with assumed sigmas of 0.01 rad and 0.1 m"
     )
-    entries = trajectory_steps(poses)
+    loops: list[Entry] = []
     if source.loops is None:
         file.notes.append("no loop is known; name a list of them with --loops")
     else:
-        entries += _loops(read_lines(source.loops), made, times, file.notes)
-    return assemble(file, format=TUM if is_tum else KITTI, poses=poses, entries=entries, known=file.tags.keys())
+        loops = _loops(read_lines(source.loops), made, times, file.notes)
+    return assemble(
+        file,
+        format=TUM if is_tum else KITTI,
+        poses=poses,
+        entries=trajectory_steps(poses),
+        loops=loops,
+        known=file.tags.keys(),
+    )
 
 
 def matrix_poses(file: TextFile, table: Table, before: int = 0) -> list[gtsam.Pose3]:
@@ -85,7 +93,7 @@ def _loops(file: TextFile, poses: Sequence[gtsam.Pose3], times: NDArray[np.float
     notes.append(f"{len(ends)} loops from {file.path.name}, with assumed sigmas of 0.05 rad and 0.2 m")
     model = gtsam.noiseModel.Diagonal.Sigmas(np.array(LOOP_SIGMAS))
     rows = zip(ends.tolist(), measured, strict=True)
-    return [Entry(0, (i, j), between(i, j, pose, model)) for (i, j), pose in rows]
+    return [Entry(0, (i, j), between_factor(i, j, pose, model)) for (i, j), pose in rows]
 
 
 def _indices(file: TextFile, table: Table, times: NDArray[np.float64]) -> NDArray[np.int64]:
