@@ -92,6 +92,10 @@ class Contacts:
         Those of them that no tie near by holds together.
     near_by : Neighbourhoods
         Of the loose ones.
+    labels : list of str
+        Names of the keyframes.
+    positions : (n, d) float
+        Where the drift model has them, m.
     """
 
     pose_graph: PoseGraph
@@ -106,6 +110,8 @@ class Contacts:
     far: Pairs
     loose: Pairs
     near_by: Neighbourhoods
+    labels: list[str]
+    positions: NDArray[np.float64]
 
     @classmethod
     def of(cls, pose_graph: PoseGraph, integrity: Integrity, model: DriftModel, closures: OwnClosures) -> Contacts:
@@ -142,6 +148,8 @@ class Contacts:
             far=far,
             loose=loose,
             near_by=near_by,
+            labels=pose_graph.labels,
+            positions=np.array([pose.translation() for pose in settled.poses]),
         )
 
     def places(self) -> list[Place]:
@@ -178,9 +186,8 @@ class Contacts:
         if not self.closures.is_false.any():
             return False
         i, j = contact.edges.T
-        places = np.array([pose.translation() for pose in self.settled.poses])
         reach = self.pose_graph.radii[i] + self.pose_graph.radii[j]
-        return not (np.linalg.norm(places[i] - places[j], axis=1) <= reach).any()
+        return not (np.linalg.norm(self.positions[i] - self.positions[j], axis=1) <= reach).any()
 
     def _is_elsewhere(self, contact: Revisit) -> bool:
         """Whether the stretches lie where the map says, and nothing that one sees is in view from the other."""
@@ -259,7 +266,7 @@ class Contacts:
 
         # the words that they make
         blamed = self._blamed(contact) if kind == "likely false closure" else None
-        sentence, remedy = words.place_words(place, self.pose_graph.labels, blamed)
+        sentence, remedy = words.place_words(place, self.labels, blamed)
         return replace(place, sentence=sentence, remedy=remedy)
 
     def _blamed(self, contact: Revisit) -> tuple[int, int]:

@@ -20,7 +20,7 @@ from pgti_gtsam.gate.drift_model import Settled
 from pgti_gtsam.gate.options import GateOptions
 from pgti_gtsam.gate.reference_map import ReferenceMap
 from pgti_gtsam.gate.terms import contact_rise, drift
-from pgti_gtsam.pose_graph import PoseGraph, Radii
+from pgti_gtsam.pose_graph import PoseGraph, Radii, key_label
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -248,7 +248,7 @@ def _check_values(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> No
 def _terms(weight: Weight, pose_graph: PoseGraph) -> dict[str, Term]:
     terms = {"drift": drift.term(weight.drift, weight.missed_m, weight.missed_rad, weight.allowed_m)}
     if weight.rise is not None:
-        label = None if weight.worst is None else pose_graph.labels[weight.worst]
+        label = None if weight.worst is None else key_label(int(pose_graph.keys[weight.worst]))
         terms["contact_rise"] = contact_rise.term(weight.rise, label)
     return terms
 
