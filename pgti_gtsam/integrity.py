@@ -22,6 +22,9 @@ Longer times would ask how large the map is, and the score is meant not to. Fort
 resolve a signature that varies over decades.
 """
 
+N_TIMES, NORM = 100, 2
+"""Number of times in the paper's grid, and p of its Eq. 17."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class BetaSplit:
@@ -121,11 +124,9 @@ class Distortion:
             β outside (0, 1).
         """
         share = self.beta if beta is None else _checked_beta(beta)
-        n_times = len(self.times)
-        n_local = min(max(round(share * n_times), 1), n_times - 1)
         local, far = (
             relative_distortion(self.signatures_pose_graph[:, part], self.signatures_merged_graph[:, part], self.norm)
-            for part in (slice(n_local), slice(n_local, None))
+            for part in _local_and_global(len(self.times), share)
         )
         return BetaSplit(
             beta=share,
@@ -169,8 +170,8 @@ def assess(
     pose_graph: PoseGraph,
     *,
     beta: float = 0.5,
-    n_times: int = 100,
-    norm: int = 2,
+    n_times: int = N_TIMES,
+    norm: int = NORM,
     method: Method = "auto",
     tolerance: float = TOLERANCE,
 ) -> Integrity:
@@ -182,9 +183,9 @@ def assess(
     beta : float
         Share of the time grid that counts as local, in (0, 1).
     n_times : int
-        Number of times in the grid, two or more; the paper takes 100.
+        Number of times in the grid, two or more.
     norm : {1, 2}
-        p of Eq. 17; the paper takes 2.
+        p of Eq. 17.
     method : {"auto", "dense", "poles"}
         Dense eigendecomposition, or resolvents of sparse factorisations in nearly linear time; "auto"
         takes the faster one.
@@ -259,6 +260,22 @@ def _distortion(before: HeatKernel, after: HeatKernel, *, n_times: int, norm: in
         n_components_merged_graph=after.n_components,
         error_estimate=max(before.error_estimate, after.error_estimate),
     )
+
+
+def scores(before: HeatKernel, after: HeatKernel, *, beta: float) -> tuple[float, float]:
+    """Λ and Λ_glob of two graphs alone, as `assess` has them with the paper's number of times and norm."""
+    times = time_grid(after, N_TIMES)
+    first, second = before.signatures(times), after.signatures(times)
+    zeta = relative_distortion(first, second, NORM)
+    worst = int(np.argmax(zeta))
+    _, far = _local_and_global(N_TIMES, beta)
+    return float(zeta[worst]), float(relative_distortion(first[[worst], far], second[[worst], far], NORM)[0])
+
+
+def _local_and_global(n_times: int, beta: float) -> tuple[slice, slice]:
+    """The two parts of a time grid, each of one time at least."""
+    n_local = min(max(round(beta * n_times), 1), n_times - 1)
+    return slice(n_local), slice(n_local, None)
 
 
 def time_grid(kernel: HeatKernel, n_times: int) -> NDArray[np.float64]:

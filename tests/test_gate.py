@@ -172,13 +172,13 @@ def test_nothing_of_the_callers_is_touched(lap):
 
 
 def test_scores_before_and_after_are_those_of_both_maps(lap):
-    closure, gate = lap.closure(4, 4 + LAP), LoopClosureGate(options=GateOptions(scores=True))
-    decision = judged(lap, closure, gate=gate)
+    closure = lap.closure(4, 4 + LAP)
+    decision = judged(lap, closure)
     before = pgti.assess(pgti.from_gtsam(lap.graph, lap.values, radii=RADIUS))
     assert decision.score.before == pytest.approx(before.score, rel=1e-6)
     assert decision.global_score.before == pytest.approx(before.split().global_, rel=1e-6)
     assert decision.score.after < decision.score.before  # what overlapped by drift is tied now
-    assert judged(lap, closure).score is None
+    assert judged(lap, closure, gate=LoopClosureGate(options=GateOptions(scores=False))).score is None
 
 
 @pytest.mark.parametrize(("rule", "name"), [("global_rise", "Λ_glob"), ("keyframe_rise", "ζ")])

@@ -29,9 +29,6 @@ MEMBERS = 8
 AT_ONCE = 48
 """Most revisits that are taken between one optimum and the next."""
 
-CURVED = 0.25
-"""How far, in ρ, a correction may bend the map beyond what linear predictions hold for, before a new optimum."""
-
 DOUBT = 10.0
 """Log odds of the drift beyond which the free space is not asked."""
 
@@ -94,7 +91,8 @@ class Admission:
     weights : list of Weight
     member_odds : dict from tie to float
         Log odds of members that all the others contradict, which were taken out again.
-    settled : Settled
+    nearest : Settled
+        The last optimum that was asked for; ties that it does not hold yet may have passed since.
     """
 
     model: DriftModel
@@ -102,12 +100,19 @@ class Admission:
     contacts_of: Callable[[Settled], Contacts]
     active: NDArray[np.bool_]
     weights: list[Weight]
-    settled: Settled
+    nearest: Settled
     progress: Callable[[int, int], None] = lambda done, of: None
     member_odds: dict[int, float] = field(default_factory=dict)
     _poorer: float = 1.0
-    _contacts: Contacts | None = None
+    _contacts: tuple[Settled, Contacts] | None = None
     _refused: list[Weight] = field(default_factory=list)
+
+    @property
+    def settled(self) -> Settled:
+        """The optimum of the ties that hold. It is sought where something asks, for most verdicts need none."""
+        if not np.array_equal(self.nearest.active, self.active):
+            self.nearest = self.model.settled(self.active, self.nearest)
+        return self.nearest
 
     def run(self) -> None:
         """Tie what passes."""
@@ -176,15 +181,9 @@ class Admission:
             columns = np.linalg.solve(root, spread[span] - known[span] @ known.T).T
             moved = columns @ np.linalg.solve(root, missed[span])
             known, missed = np.hstack([known, columns]), missed - moved
-            if self._bends(moved.reshape(-1, d)):
+            if self.model.bends(moved.reshape(-1, d)):
                 break
         return taken
-
-    def _bends(self, moved: Array) -> bool:
-        """Whether corrections turn the map so far that linear predictions fail: extent θ² / 2."""
-        turned = np.delete(moved, np.arange(moved.shape[1])[self.model.translation], axis=1)
-        extent = float(np.sqrt(np.diag(self.model.spread)[self.model.translation].max()))
-        return bool(extent * np.square(turned).max() / 2 > CURVED * self.model.unit_m)
 
     def _weigh(self, each: Weight, own: Ties, missed: Array, spread: Array) -> None:
         """A revisit of several by what some of its members miss."""
@@ -206,36 +205,42 @@ class Admission:
 
     def _take(self, chosen: Sequence[Weight]) -> bool:
         """Tie revisits, but for those that the free space speaks against, which are refused; whether there were any."""
-        if not chosen:
-            return False
-        before, start = self._contacts or self.contacts_of(self.settled), self.settled
-        settled = self._with(chosen)
-        after, doubtful = self.contacts_of(settled), [each for each in chosen if each.drift < DOUBT]
+        doubtful = [each for each in chosen if each.drift < DOUBT]
         if doubtful:
-            rise = local_rise(before, after)
-            for each in doubtful:
-                each.rise, each.worst = rise
+            tried = self._ask_free_space(doubtful, chosen)
             failing = [each for each in doubtful if each.log_odds <= self.needed]
 
             # one of several may be at fault: each by itself
             if failing and len(chosen) > 1:
                 for each in doubtful:
-                    each.rise, each.worst = local_rise(before, self.contacts_of(self._with([each])))
+                    self._ask_free_space([each], [each])
                 failing = [each for each in doubtful if each.log_odds <= self.needed]
-            if failing:
-                self._refused += failing
-                chosen = [each for each in chosen if each not in failing]
-                settled = self._with(chosen) if chosen else start
-                after = self.contacts_of(settled) if chosen else before
-        self.settled, self._contacts = settled, after
-        self.active = settled.active
-        return True
+            self._refused += failing
+            chosen = [each for each in chosen if each not in failing]
+            if not failing:
+                self.nearest = tried
+        self.active = self._active_with(chosen)
+        return bool(chosen or doubtful)
 
-    def _with(self, chosen: Sequence[Weight]) -> Settled:
+    def _ask_free_space(self, doubtful: Sequence[Weight], chosen: Sequence[Weight]) -> Settled:
+        """Note what the free space says of some revisits where all that are chosen hold; the optimum with those."""
+        before = self._contacts_at(self.settled)
+        tried = self.model.settled(self._active_with(chosen), self.settled)
+        rise = local_rise(before, self._contacts_at(tried))
+        for each in doubtful:
+            each.rise, each.worst = rise
+        return tried
+
+    def _contacts_at(self, settled: Settled) -> Contacts:
+        if self._contacts is None or self._contacts[0] is not settled:
+            self._contacts = settled, self.contacts_of(settled)
+        return self._contacts[1]
+
+    def _active_with(self, chosen: Sequence[Weight]) -> NDArray[np.bool_]:
         active = self.active.copy()
         for each in chosen:
             active[each.ties] = True
-        return self.model.settled(active, self.settled)
+        return active
 
     def _take_doubtful(self) -> bool:
         """The best revisit that passes if it brings nothing into contact."""
@@ -266,7 +271,7 @@ class Admission:
         """Take out members that all the others contradict."""
         for _ in range(MOST_CHECKS):
             tied = self._tied()
-            if not len(tied):
+            if len(tied) < 2:  # a lone closure was compared with all others when it was weighed
                 return
             missed, others = left_out(self.settled, tied)
             odds = log_odds(self.model, missed, self._poorer * others)
@@ -275,10 +280,8 @@ class Admission:
                 return
             out = condemned & (odds <= odds[condemned].min() / 2)
             self.member_odds |= dict(zip(tied[out].tolist(), odds[out].tolist(), strict=True))
-            active = self.active.copy()
-            active[tied[out]] = False
-            self.settled = self.model.settled(active, self.settled)
-            self.active = active
+            self.active = self.active.copy()
+            self.active[tied[out]] = False
 
 
 def _some(ties: Ties) -> Ties:

@@ -1,7 +1,8 @@
-"""The map with some candidate closures, as PGTI sees it: contacts and scores."""
+"""A map with and without a candidate closure, as PGTI sees it: contacts, Λ and Λ_glob."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 from pgti_gtsam.gate.decision import Change
 from pgti_gtsam.gate.drift_model import Settled
 from pgti_gtsam.gate.reference_map import ReferenceMap
+from pgti_gtsam.gate.scored_map import ScoredMap
 from pgti_gtsam.gate.terms.contact_rise import Contacts, contacts
 from pgti_gtsam.integrity import Integrity, assess
 
@@ -22,12 +24,12 @@ class CandidateMaps:
     ----------
     reference : ReferenceMap
         Without any.
-    beta : float
-        As in `assess`.
+    offered : Settled
+        The same with the candidates as ties that do not hold.
     """
 
     reference: ReferenceMap
-    beta: float
+    offered: Settled
 
     def contacts(self, settled: Settled) -> Contacts:
         """Which keyframes are connected, and which only touch."""
@@ -37,15 +39,27 @@ class CandidateMaps:
 
     def integrity(self, settled: Settled) -> Integrity:
         """PGTI of the map."""
-        return assess(self.reference.drawn(settled), beta=self.beta)
+        return assess(self.reference.drawn(settled), beta=self.reference.beta)
 
-    def scores(self, settled: Settled, ties: NDArray[np.int64]) -> tuple[Change, Change]:
-        """Λ and Λ_glob of the map without and with some of the candidates, all else as it is."""
-        found = []
-        for held in (False, True):
-            active = settled.active.copy()
-            active[ties] = held
-            integrity = self.integrity(settled.model.settled(active, settled))
-            found.append((integrity.score, integrity.split(self.beta).global_))
-        (score, global_), (new_score, new_global) = found
-        return Change(before=score, after=new_score), Change(before=global_, after=new_global)
+    def scores(self, active: NDArray[np.bool_], revisits: Sequence[NDArray[np.int64]]) -> list[tuple[Change, Change]]:
+        """Λ and Λ_glob without and with each of some revisits, where all else is as the map has it in the end.
+
+        Parameters
+        ----------
+        active : (m,) bool
+            Ties that hold in the end.
+        revisits : sequence of (g,) int
+            Ties of each.
+        """
+        # one map is factorised: for a lone revisit that which is kept, else the last one
+        lone = len(revisits) == 1
+        base = self.offered if lone else self.offered.model.settled(active, self.offered)
+        scored = self.reference.scored if lone else ScoredMap.of(self.reference.drawn(base), self.reference.beta)
+
+        # the other side of each
+        changes = []
+        for ties in revisits:
+            other = scored.scores_of(self.reference.drawn(base.toggled(ties)))
+            before, after = (other, scored.scores) if base.active[ties].all() else (scored.scores, other)
+            changes.append((Change(before=before[0], after=after[0]), Change(before=before[1], after=after[1])))
+        return changes

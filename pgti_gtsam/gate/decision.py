@@ -66,7 +66,8 @@ class ClosureDecision:
     judged_with : int
         Number of closures of one revisit that were weighed as one, this one included.
     score, global_score : Change or None
-        Λ and Λ_glob of the map before and after the closure; None where `GateOptions.scores` did not ask for them.
+        Λ and Λ_glob of the map before and after the closure; None where `GateOptions.scores` left them
+        out, or where no tie of keyframes was judged.
     """
 
     verdict: Verdict

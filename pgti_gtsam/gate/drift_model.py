@@ -50,6 +50,9 @@ HELD = 0.5
 MAX_ITERATIONS = 40
 """Levenberg-Marquardt steps to the model's optimum. Where closures are false there is no good one, nor need."""
 
+CURVED = 0.25
+"""How far, in ρ, a correction may bend the map beyond what linear predictions hold for, before a new optimum."""
+
 DRAWN = 1000
 """Pairs of keyframes that the spread of a map is drawn from."""
 
@@ -108,6 +111,12 @@ class DriftModel:
     def variances(self, length: float, angle: float) -> Array:
         """Squares of a length in ρ and of an angle in rad, in GTSAM's order, (d,)."""
         return variances_of(length * self.unit_m, angle, is_planar=self.is_planar)
+
+    def bends(self, moved: Array) -> bool:
+        """Whether corrections, (k, d), turn the map so far that linear predictions fail: extent θ² / 2."""
+        turned = np.delete(moved, np.arange(moved.shape[1])[self.translation], axis=1)
+        extent = float(np.sqrt(np.diag(self.spread)[self.translation].max()))
+        return bool(extent * np.square(turned).max() / 2 > CURVED * self.unit_m)
 
     @cached_property
     def spread(self) -> Array:
@@ -257,6 +266,31 @@ class Settled:
             active=np.concatenate([self.active, np.zeros(len(offered), dtype=bool)]),
             residuals=np.concatenate([self.residuals, _residuals(added, self.poses, self.steps)]),
         )
+
+    def toggled(self, ties: NDArray[np.int64]) -> Settled:
+        """The optimum where some ties that do not hold did, or where some that hold did not.
+
+        To first order, δ = −H⁻¹ Jᵀ (±R + J H⁻¹ Jᵀ)⁻¹ e, as far as that is good enough; else the optimum itself.
+        """
+        active = self.active.copy()
+        active[ties] = ~active[ties]
+        pairs, d = self.model.ties.pairs[ties], len(self.model.spread)
+        spread, residuals = self.joint_covariances([pairs])[0], self.residuals[ties]
+
+        # what they pull with, and by how much that moves their keyframes against each other
+        signs = np.where(self.active[ties], -1.0, 1.0)[:, None]
+        tolerance = np.diag((signs * self.model.ties.variances[ties]).ravel())
+        pulls = np.linalg.lstsq(tolerance + np.nan_to_num(spread), residuals.ravel())[0]
+        moved = (tolerance @ pulls).reshape(-1, d) - residuals
+        if np.isnan(spread).any() or self.model.bends(moved):
+            return self.model.settled(active, self)
+
+        # the step of all keyframes
+        pull = np.zeros((len(self.poses), d))
+        np.add.at(pull, pairs, -np.einsum("keab,ka->keb", self._jacobians(pairs), pulls.reshape(-1, d)))
+        steps = self.steps + solve(self.factor, pull)
+        poses = tuple(pose.retract(step) for pose, step in zip(self.poses, steps, strict=True))
+        return replace(self, active=active, poses=poses)
 
     def joint_covariances(self, groups: Sequence[NDArray[np.int64]]) -> list[Array]:
         """Covariance of all relative poses of each group of pairs together, (g d, g d).

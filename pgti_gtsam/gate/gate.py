@@ -32,7 +32,7 @@ class Judgement:
     decisions : tuple of ClosureDecision
         One for each closure, in the order given.
     settled : Settled
-        The drift model with them.
+        The last optimum of the drift model that a verdict hung on: near that with them.
     """
 
     decisions: tuple[ClosureDecision, ...]
@@ -97,7 +97,8 @@ class LoopClosureGate:
         """
         check_map(graph, values)
         _check_values(graph, values)
-        return ReferenceMap.of(graph, values, self.adapted(graph, values, radii, closures))
+        pose_graph = self.adapted(graph, values, radii, closures)
+        return ReferenceMap.of(graph, values, pose_graph, self.options.beta)
 
     def evaluate(
         self,
@@ -171,7 +172,7 @@ class LoopClosureGate:
         """
         # the closures as ties that do not hold yet, those of one revisit together
         settled, rows = reference.offered(closures)
-        maps = CandidateMaps(reference=reference, beta=self.options.beta)
+        maps = CandidateMaps(reference=reference, offered=settled)
         weights = [Weight(ties=ties) for ties in reference.revisits(settled)]
 
         # which of them hold, and why
@@ -183,18 +184,20 @@ class LoopClosureGate:
                 contacts_of=maps.contacts,
                 active=settled.active,
                 weights=weights,
-                settled=settled,
+                nearest=settled,
                 progress=progress,
             )
             admission.run()
-            settled, contradicted = admission.settled, admission.member_odds
+            settled, active, contradicted = admission.nearest, admission.active, admission.member_odds
             terms = [_terms(weight, reference.pose_graph) for weight in weights]
         else:
             settled, terms = paper_rule.admitted(settled, weights, maps.integrity, self.options)
+            active = settled.active
 
         # the verdict on each closure is that on the revisit which it is part of
         revisit_of = {int(tie): k for k, weight in enumerate(weights) for tie in weight.ties}
-        scores = [maps.scores(settled, weight.ties) for weight in weights] if self.options.scores else None
+        is_scored = self.options.wants_scores(len(reference.pose_graph) * len(weights))
+        scores = maps.scores(active, [weight.ties for weight in weights]) if is_scored and weights else None
         decisions = []
         for own in rows:
             if not own:
@@ -203,7 +206,7 @@ class LoopClosureGate:
             k = max((revisit_of[tie] for tie in own), key=lambda k: len(weights[k].ties))
             against = [contradicted[tie] for tie in own if tie in contradicted]
             keys = reference.pose_graph.keys[np.unique(settled.model.ties.pairs[own])].tolist()
-            decision = self._decision(terms[k], against, is_tied=bool(settled.active[own].all()))
+            decision = self._decision(terms[k], against, is_tied=bool(active[own].all()))
             decision = replace(decision, keys=tuple(keys), judged_with=len(weights[k].ties))
             if scores is not None:
                 decision = replace(decision, score=scores[k][0], global_score=scores[k][1])

@@ -7,6 +7,9 @@ from dataclasses import dataclass
 from pgti_gtsam.adapter import MIN_SHARED_LANDMARKS
 from pgti_gtsam.errors import InvalidOptionError
 
+SCORED = 2000
+"""Keyframes, times revisits, up to which Λ and Λ_glob are computed unasked: a tenth of a second."""
+
 RULES = ("log_odds", "global_rise", "keyframe_rise")
 
 
@@ -23,8 +26,9 @@ class GateOptions:
         A closure is accepted from this probability on, rejected from its complement down, and undecided between.
     max_rise : float
         Of the paper's rule, which names no number.
-    scores : bool
-        Whether decisions hold Λ and Λ_glob before and after: two assessments of the map for each.
+    scores : bool, optional
+        Whether decisions hold Λ and Λ_glob before and after. Left out, they do where the map's keyframes, times the
+        revisits that are judged together, are no more than `SCORED`.
     beta : float
         β of Λ_loc and Λ_glob.
     edges, min_shared_landmarks
@@ -34,7 +38,7 @@ class GateOptions:
     rule: str = "log_odds"
     min_probability: float = 0.95
     max_rise: float = 0.2
-    scores: bool = False
+    scores: bool | None = None
     beta: float = 0.5
     edges: tuple[str, ...] | None = None
     min_shared_landmarks: int = MIN_SHARED_LANDMARKS
@@ -51,3 +55,7 @@ class GateOptions:
             raise InvalidOptionError(f"expected max_rise above 0, got {self.max_rise}")
         if not 0 < self.beta < 1:
             raise InvalidOptionError(f"expected beta between 0 and 1, got {self.beta}")
+
+    def wants_scores(self, keyframes: int) -> bool:
+        """Whether Λ and Λ_glob are computed for so many keyframes, times revisits."""
+        return keyframes <= SCORED if self.scores is None else self.scores

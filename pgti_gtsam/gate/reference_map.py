@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from pgti_gtsam.adapter.values import Keyframes, read_keyframes
 from pgti_gtsam.gate.candidates import Tie, agreeing, implied_tie, measured_ties
 from pgti_gtsam.gate.drift_model import Settled, drift_model
+from pgti_gtsam.gate.scored_map import ScoredMap
 from pgti_gtsam.gate.terms.contact_rise import Contacts, contacts
 from pgti_gtsam.pose_graph import EdgeSource, PoseGraph
 from pgti_gtsam.track import track_of
@@ -31,15 +32,20 @@ class ReferenceMap:
         The map as the gate reads it.
     settled : Settled
         The drift model of all its ties.
+    beta : float
+        β of Λ_glob.
     """
 
     graph: gtsam.NonlinearFactorGraph
     keyframes: Keyframes
     pose_graph: PoseGraph
     settled: Settled
+    beta: float
 
     @classmethod
-    def of(cls, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, pose_graph: PoseGraph) -> ReferenceMap:
+    def of(
+        cls, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, pose_graph: PoseGraph, beta: float
+    ) -> ReferenceMap:
         """Settle the drift model of a map.
 
         Raises
@@ -48,7 +54,7 @@ class ReferenceMap:
             Those of `drift_model` and `DriftModel.settled`.
         """
         settled = drift_model(graph, values, pose_graph).settled()
-        return cls(graph=graph, keyframes=read_keyframes(values), pose_graph=pose_graph, settled=settled)
+        return cls(graph=graph, keyframes=read_keyframes(values), pose_graph=pose_graph, settled=settled, beta=beta)
 
     @property
     def n_ties(self) -> int:
@@ -59,6 +65,11 @@ class ReferenceMap:
     def contacts(self) -> Contacts:
         """Which keyframes are connected, and which only touch, where the drift model has them."""
         return contacts(self.drawn(self.settled))
+
+    @cached_property
+    def scored(self) -> ScoredMap:
+        """The same map factorised, for Λ and Λ_glob of maps that differ by a few edges."""
+        return ScoredMap.of(self.drawn(self.settled), self.beta)
 
     def offered(self, closures: Sequence[gtsam.NonlinearFactorGraph]) -> tuple[Settled, list[list[int]]]:
         """The map with some closures as ties that do not hold yet, and which ties each closure is.

@@ -1,9 +1,10 @@
-"""The heat kernel of a graph plus a few edges, from what is known of the graph without them.
+"""The heat kernel of a graph with a few edges more or less, from what is known of the graph as it is.
 
-Let B, (n, k), hold a column e_i − e_j for every inserted edge ij. Then L' = L + B Bᵀ and, with Y = (L + zI)⁻¹ B
-(Woodbury, 1950; Hager, SIAM Rev. 31, 1989, doi:10.1137/1031049),
+Let B, (n, k), hold a column e_i − e_j for every changed edge ij, and S, (k, k), diagonal, one where the edge is
+inserted and minus one where it is removed. Then L' = L + B S Bᵀ and, with Y = (L + zI)⁻¹ B (Woodbury, 1950; Hager,
+SIAM Rev. 31, 1989, doi:10.1137/1031049),
 
-    diag (L' + zI)⁻¹ = diag (L + zI)⁻¹ − diag Y (I + Bᵀ Y)⁻¹ Yᵀ,
+    diag (L' + zI)⁻¹ = diag (L + zI)⁻¹ − diag Y (S + Bᵀ Y)⁻¹ Yᵀ,
 
 at every pole: one sweep over the cached factors for all k columns, instead of a new factorisation.
 """
@@ -15,19 +16,22 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
+from scipy.sparse import csgraph
 
 from pgti_gtsam.spectral import poles
 from pgti_gtsam.spectral.elimination_tree import EliminationTree, analyse
 from pgti_gtsam.spectral.laplacian import laplacian
 from pgti_gtsam.spectral.pole_kernel import PoleHeatKernel, Spectrum, pole_kernels
 from pgti_gtsam.spectral.selected_inverse import Factor, FrontEntries, factorise, inverse_diagonal, solve
-from pgti_gtsam.spectral.spectrum import extreme_eigenvalues
+from pgti_gtsam.spectral.spectrum import extreme_eigenvalues, smallest_by_component
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 ComplexArray = NDArray[np.complex128]
 
-BREAK_EVEN = 40  # inserted edges from which a new factorisation costs less (10 000 keyframes)
+NO_EDGES: IntArray = np.empty((0, 2), dtype=np.int64)
+
+BREAK_EVEN = 40  # changed edges from which a new factorisation costs less (10 000 keyframes)
 CHUNK = 16  # poles whose columns Y are held at once
 HEADROOM = 2.0  # by which inserted edges may raise the largest eigenvalue before the poles are placed anew
 LOST_DIGITS = 30.0  # by which the error estimate may exceed the tolerance before the poles are placed anew
@@ -82,69 +86,79 @@ class SpectralState:
             factors=factors,
         )
 
-    def diagonals_with(self, inserted: IntArray, times: FloatArray) -> FloatArray:
-        """K_ii(t) of the graph plus some edges, zero mode kept: (n, n_times).
+    def bounded_kernel_with(self, inserted: IntArray) -> PoleHeatKernel:
+        """Heat kernel of the graph plus some edges, with bounds for the ends of its spectrum.
 
-        Cheaper than asking `kernel_with`: no eigenvalue is computed. Inserted edges lower none, and raise the
-        largest by no more than twice the largest number of them at one vertex.
+        Cheaper than `kernel_with`: no eigenvalue is computed. Inserted edges lower none, and raise the largest by no
+        more than twice the largest number of them at one vertex.
 
         Parameters
         ----------
         inserted : (k, 2) int
             Pairs of distinct vertices; one that is an edge already counts twice.
-        times : (n_times,) float
-        """
-        inserted = np.asarray(inserted, dtype=np.int64).reshape(-1, 2)
-        if len(inserted) == 0:
-            return self.kernel.diagonals(times)
-        old = self.kernel.spectrum
-        largest = old.largest + 2.0 * float(np.bincount(inserted.ravel()).max())
-        spectrum = replace(old, laplacian=self._laplacian_with(inserted), largest=largest)
-        if not self._can_update(inserted, spectrum):
-            return self._refactored(inserted).diagonals(times)
-        return self._updated(inserted, spectrum).diagonals(times)
-
-    def kernel_with(self, inserted: IntArray) -> PoleHeatKernel:
-        """Heat kernel of the graph plus some edges, with the ends of its spectrum.
-
-        Parameters
-        ----------
-        inserted : (k, 2) int
-            As for `diagonals_with`.
         """
         inserted = np.asarray(inserted, dtype=np.int64).reshape(-1, 2)
         if len(inserted) == 0:
             return self.kernel
-        if len(inserted) >= BREAK_EVEN or self._joins_components(inserted):
+        old = self.kernel.spectrum
+        first, second = old.labels[inserted].T
+        if len(inserted) >= BREAK_EVEN or (first != second).any():
             return self._refactored(inserted)
-        old, matrix = self.kernel.spectrum, self._laplacian_with(inserted)
+        largest = old.largest + 2.0 * float(np.bincount(inserted.ravel()).max())
+        spectrum = replace(old, laplacian=self._laplacian_with(inserted), largest=largest)
+        return self._updated(spectrum, inserted) if self._can_update(spectrum) else self._refactored(inserted)
+
+    def kernel_with(self, inserted: IntArray, removed: IntArray = NO_EDGES) -> PoleHeatKernel:
+        """Heat kernel of the graph with some edges more or less, with the ends of its spectrum.
+
+        Parameters
+        ----------
+        inserted : (k, 2) int
+            As for `bounded_kernel_with`.
+        removed : (l, 2) int, optional
+            Edges of the graph that are listed once.
+        """
+        inserted, removed = (np.asarray(edges, dtype=np.int64).reshape(-1, 2) for edges in (inserted, removed))
+        n_changed, old = len(inserted) + len(removed), self.kernel.spectrum
+        if n_changed == 0:
+            return self.kernel
+
+        # the ends of the spectrum, where its zero modes stay
+        matrix = self._laplacian_with(inserted, removed)
+        count, labels = csgraph.connected_components(matrix, directed=False)
+        if n_changed >= BREAK_EVEN or count != old.n_components or not np.array_equal(labels, old.labels):
+            return self._refactored(inserted, removed)
         low, high = extreme_eigenvalues(matrix, old.labels)
         spectrum = replace(old, laplacian=matrix, smallest_positive=low, largest=high)
-        return self._updated(inserted, spectrum) if self._can_update(inserted, spectrum) else self._refactored(inserted)
+        if len(removed):  # an edge less lets the spectrum of its component begin lower
+            lows = np.array([low]) if count == 1 else smallest_by_component(matrix, old.labels)
+            spectrum = replace(spectrum, smallest_by_component=lows)
+        if self._can_update(spectrum):
+            return self._updated(spectrum, inserted, removed)
+        return self._refactored(inserted, removed)
 
-    def _joins_components(self, inserted: IntArray) -> bool:
-        """Whether a zero mode goes, and with it the right placement of the poles."""
-        i, j = self.kernel.spectrum.labels[inserted].T
-        return bool((i != j).any())
-
-    def _can_update(self, inserted: IntArray, spectrum: Spectrum) -> bool:
-        if len(inserted) >= BREAK_EVEN or self._joins_components(inserted):
-            return False
+    def _can_update(self, spectrum: Spectrum) -> bool:
+        """Whether the poles still serve."""
         estimate = poles.reference_residual(self.kernel.shifts, spectrum.smallest_positive, spectrum.largest)
         return estimate <= LOST_DIGITS * self.tolerance
 
-    def _laplacian_with(self, inserted: IntArray) -> sparse.csc_array:
+    def _laplacian_with(self, inserted: IntArray, removed: IntArray = NO_EDGES) -> sparse.csc_array:
         old = self.kernel.spectrum.laplacian
-        return sparse.csc_array(old + laplacian(old.shape[0], inserted))
+        more, less = (laplacian(old.shape[0], edges) for edges in (inserted, removed))
+        found = sparse.csc_array(old + more - less)
+        found.eliminate_zeros()
+        return found
 
-    def _refactored(self, inserted: IntArray) -> PoleHeatKernel:
-        edges = np.concatenate([self.edges, inserted])
+    def _refactored(self, inserted: IntArray, removed: IntArray = NO_EDGES) -> PoleHeatKernel:
+        codes, gone = (edges.min(axis=1) * self.tree.n_vertices + edges.max(axis=1) for edges in (self.edges, removed))
+        edges = np.concatenate([self.edges[~np.isin(codes, gone)], inserted])
         return pole_kernels(self.tree.n_vertices, (edges,), self.tolerance)[0]
 
-    def _updated(self, inserted: IntArray, spectrum: Spectrum) -> PoleHeatKernel:
-        ends = self.tree.positions[inserted]
+    def _updated(self, spectrum: Spectrum, inserted: IntArray, removed: IntArray = NO_EDGES) -> PoleHeatKernel:
+        ends = self.tree.positions[np.concatenate([inserted, removed])]
+        signs = np.repeat([1.0, -1.0], [len(inserted), len(removed)])
         columns = incidence(self.tree.n_vertices, ends)
-        drops = np.concatenate([_drop(solve(factor, columns), ends) for factor in self.factors])
+        drops = np.concatenate([_drop(solve(factor, columns), ends, signs) for factor in self.factors])
         diagonals = self.diagonals - drops[:, self.tree.positions]
         return PoleHeatKernel.of(spectrum, self.kernel.shifts, diagonals)
 
@@ -161,7 +175,7 @@ def differences(y: ComplexArray, edges: IntArray) -> ComplexArray:
     return np.asarray(y[:, edges[:, 0]] - y[:, edges[:, 1]])
 
 
-def _drop(y: ComplexArray, edges: IntArray) -> ComplexArray:
-    """diag Y (I + Bᵀ Y)⁻¹ Yᵀ for Y of shape (p, n, k): (p, n)."""
-    capacitance = np.eye(len(edges)) + differences(y, edges)
+def _drop(y: ComplexArray, edges: IntArray, signs: FloatArray) -> ComplexArray:
+    """diag Y (S + Bᵀ Y)⁻¹ Yᵀ for Y of shape (p, n, k) and the diagonal of S: (p, n)."""
+    capacitance = np.diag(signs) + differences(y, edges)
     return np.asarray(np.einsum("pnk,pnk->pn", y @ np.linalg.inv(capacitance), y))

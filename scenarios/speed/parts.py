@@ -116,7 +116,7 @@ def updates(case: str) -> list[Row]:
     for count in (1, 10):
         inserted = np.stack([n // 2 + np.arange(count), n // 2 + 37 + np.arange(count)], axis=1)
         tried = {
-            "diagonals at all keyframes": lambda i=inserted: state.diagonals_with(i, STABLE_TIMES),
+            "diagonals at all keyframes": lambda i=inserted: state.bounded_kernel_with(i).diagonals(STABLE_TIMES),
             "with the ends of the spectrum": lambda i=inserted: state.kernel_with(i).diagonals(STABLE_TIMES),
             "neighbourhood alone": lambda i=inserted: local_change(matrix, i, STABLE_TIMES),
         }
@@ -197,7 +197,7 @@ def _stages(
     watch = Stopwatch()
     pose_graph = gate.adapted(graph, values, radius)
     watch.look("adapting")
-    reference = ReferenceMap.of(graph, values, pose_graph)
+    reference = ReferenceMap.of(graph, values, pose_graph, gate.options.beta)
     watch.look("drift model and its optimum without the closure")
 
     # what the map predicts of the closure, and the map with it
@@ -208,8 +208,14 @@ def _stages(
     tied = model.settled(np.ones_like(settled.active), settled)
     watch.look("optimum with the closure")
 
+    # Λ and Λ_glob with and without
+    maps = CandidateMaps(reference=reference, offered=settled)
+    reference.scored  # noqa: B018
+    watch.look("factorising the graphs of the map, once")
+    maps.scores(settled.active, [np.array(own)])
+    watch.look("Λ and Λ_glob before and after")
+
     # free space with and without
-    maps = CandidateMaps(reference=reference, beta=gate.options.beta)
     before, after = maps.contacts(settled), maps.contacts(tied)
     watch.look("contacts with and without")
     local_rise(before, after)
