@@ -10,6 +10,7 @@ import pgti_gtsam as pgti
 from pgti_gtsam.gate.candidate_map import CandidateMaps
 from pgti_gtsam.gate.gate import LoopClosureGate
 from pgti_gtsam.gate.scored_map import ScoredMap
+from pgti_gtsam.gate.settled import settle
 from pgti_gtsam.pose_graph import PoseGraph
 
 LAP = 4 * 32  # steps around a block of 60 m
@@ -61,10 +62,10 @@ def world():
 def test_a_closure_toggled_to_first_order_is_nearly_at_the_optimum(world):
     reference = LoopClosureGate().reference_map(world.graph, world.values, RADIUS)
     offered, [[first], [second]] = reference.offered([world.closure(4, 4 + LAP), world.closure(20, 20 + LAP)])
-    tied = offered.model.settled(np.arange(len(offered.active)) != second, offered)
+    tied = settle(offered.model, np.arange(len(offered.active)) != second, offered)
     for base, tie in ((tied, second), (tied, first)):
         near = base.toggled(np.array([tie]))
-        best = base.model.settled(near.active, base)
+        best = settle(base.model, near.active, base)
         assert near.active[tie] != base.active[tie]
         missed = [one.localCoordinates(other) for one, other in zip(near.poses, best.poses, strict=True)]
         moved = [one.localCoordinates(other) for one, other in zip(base.poses, best.poses, strict=True)]
@@ -84,6 +85,6 @@ def test_candidates_have_the_scores_of_the_maps_with_and_without(world, count):
         for side, held in (("before", False), ("after", True)):
             expected = active.copy()
             expected[row] = held
-            integrity = maps.integrity(offered.model.settled(expected, offered))
+            integrity = maps.integrity(settle(offered.model, expected, offered))
             assert getattr(score, side) == pytest.approx(integrity.score, rel=0.05, abs=0.01)
             assert getattr(global_, side) == pytest.approx(integrity.split().global_, rel=0.05, abs=0.01)

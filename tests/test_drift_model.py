@@ -9,6 +9,7 @@ import pgti_gtsam as pgti
 from pgti_gtsam.gate.drift_model import ANCHOR, drift_model
 from pgti_gtsam.gate.left_out import left_out
 from pgti_gtsam.gate.own_closures import own_closures
+from pgti_gtsam.gate.settled import settle
 from pgti_gtsam.gate.ties import DRIFT, OFFSET, STRETCH
 
 RADIUS = 2.0
@@ -27,7 +28,7 @@ def test_a_straight_chain_drifts_as_white_steps_do():
     n, step = 40, streets.STEP
     model = model_of(streets.driven(streets.straight(n * step)))
     pairs = np.array([[0, k] for k in range(1, n + 1)])
-    found = model.settled().covariances(pairs)
+    found = settle(model).covariances(pairs)
     k = np.arange(1, n + 1)
     square = DRIFT**2 * step / model.unit_m
     along = k * square * (1 + (STRETCH / DRIFT) ** 2) * model.unit_m**2
@@ -43,7 +44,7 @@ def test_covariances_are_those_of_gtsams_bayes_tree(steps):
     ends = [(0, len(steps) // 2), (3, len(steps) - 2)]
     model = model_of(world, [world.closure(*pair) for pair in ends])
     asked = np.array([[1, len(steps) - 5], [7, 9], [20, 5]])
-    settled = model.settled()
+    settled = settle(model)
     d, graph, values = len(model.spread), gtsam.NonlinearFactorGraph(), gtsam.Values()
     kinds = (gtsam.BetweenFactorPose2, gtsam.PriorFactorPose2) if model.is_planar else (
         gtsam.BetweenFactorPose3, gtsam.PriorFactorPose3)  # fmt: skip
@@ -66,12 +67,12 @@ def test_what_a_tie_misses_is_what_the_map_without_it_predicts():
     n = len(world.truth)
     closures = [world.closure(i, i + n // 2) for i in range(2, 40, 9)]
     model = model_of(world, closures)
-    settled = model.settled()
+    settled = settle(model)
     ties = model.ties.closures
     for k, missed, others in zip(ties.tolist(), *left_out(settled, ties), strict=True):
         active = np.ones(len(model.ties.pairs), dtype=bool)
         active[k] = False
-        without = model.settled(active, start=settled)
+        without = settle(model, active, settled)
         expected = without.covariances(model.ties.pairs[k : k + 1])[0]
         scale = np.sqrt(np.outer(expected.diagonal(), expected.diagonal()))
         np.testing.assert_allclose(others / scale, expected / scale, atol=0.02)  # linearised elsewhere
@@ -83,7 +84,7 @@ def test_parts_that_no_tie_joins_may_lie_anywhere():
     graph = gtsam.NonlinearFactorGraph(world.graph)
     graph.remove(10)
     pose_graph = pgti.from_gtsam(graph, world.values, radii=RADIUS)
-    settled = drift_model(graph, world.values, pose_graph).settled()
+    settled = settle(drift_model(graph, world.values, pose_graph))
     allowances = settled.allowances_m(settled.covariances(np.array([[0, 20], [0, 5]])))
     assert allowances[0] == np.inf
     assert 0 < allowances[1] < np.inf

@@ -15,8 +15,9 @@ from scipy.special import expit
 from pgti_gtsam.diagnosis import words
 from pgti_gtsam.diagnosis.records import Kind, Place, Proposal
 from pgti_gtsam.diagnosis.views import without_common_view
-from pgti_gtsam.gate.drift_model import DriftModel, Settled
+from pgti_gtsam.gate.drift_model import DriftModel
 from pgti_gtsam.gate.own_closures import OwnClosures
+from pgti_gtsam.gate.settled import Settled
 from pgti_gtsam.integrity import Distortion, Integrity, relative_distortion
 from pgti_gtsam.places import WINDOW, Neighbourhoods, Revisit, neighbourhoods, places_on, revisit, revisits
 from pgti_gtsam.pose_graph import PoseGraph

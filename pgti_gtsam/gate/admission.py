@@ -15,9 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pgti_gtsam.gate.decision import Change
-from pgti_gtsam.gate.drift_model import DriftModel, Settled
+from pgti_gtsam.gate.drift_model import DriftModel
 from pgti_gtsam.gate.left_out import left_out
 from pgti_gtsam.gate.own_closures import poorer_odometry
+from pgti_gtsam.gate.settled import Settled, settle
 from pgti_gtsam.gate.terms import contact_rise
 from pgti_gtsam.gate.terms.contact_rise import Contacts, local_rise
 from pgti_gtsam.gate.terms.drift import AGREES, log_odds, log_odds_together
@@ -111,7 +112,7 @@ class Admission:
     def settled(self) -> Settled:
         """The optimum of the ties that hold. It is sought where something asks, for most verdicts need none."""
         if not np.array_equal(self.nearest.active, self.active):
-            self.nearest = self.model.settled(self.active, self.nearest)
+            self.nearest = settle(self.model, self.active, self.nearest)
         return self.nearest
 
     def run(self) -> None:
@@ -225,7 +226,7 @@ class Admission:
     def _ask_free_space(self, doubtful: Sequence[Weight], chosen: Sequence[Weight]) -> Settled:
         """Note what the free space says of some revisits where all that are chosen hold; the optimum with those."""
         before = self._contacts_at(self.settled)
-        tried = self.model.settled(self._active_with(chosen), self.settled)
+        tried = settle(self.model, self._active_with(chosen), self.settled)
         rise = local_rise(before, self._contacts_at(tried))
         for each in doubtful:
             each.rise, each.worst = rise

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pgti_gtsam.gate.decision import Change
-from pgti_gtsam.gate.drift_model import Settled
 from pgti_gtsam.gate.reference_map import ReferenceMap
 from pgti_gtsam.gate.scored_map import ScoredMap
+from pgti_gtsam.gate.settled import Settled, settle
 from pgti_gtsam.gate.terms.contact_rise import Contacts, contacts
 from pgti_gtsam.integrity import Integrity, assess
 
@@ -53,7 +53,7 @@ class CandidateMaps:
         """
         # one map is factorised: for a lone revisit that which is kept, else the last one
         lone = len(revisits) == 1
-        base = self.offered if lone else self.offered.model.settled(active, self.offered)
+        base = self.offered if lone else settle(self.offered.model, active, self.offered)
         scored = self.reference.scored if lone else ScoredMap.of(self.reference.drawn(base), self.reference.beta)
 
         # the other side of each

@@ -13,8 +13,8 @@ from pgti_gtsam.adapter.values import Keyframes, typed_value
 from pgti_gtsam.errors import UnsolvableGraphError
 from pgti_gtsam.estimate import optimised
 from pgti_gtsam.factor_graphs import BETWEEN, factors_of, graph_of, keys_of, measured_from
-from pgti_gtsam.gate.drift_model import Settled
 from pgti_gtsam.gate.revisits import revisits
+from pgti_gtsam.gate.settled import Settled
 
 AGREEMENT, AGREEMENT_RAD = 0.5, 0.35
 """How far apart two closures of a revisit may put a place and still say the same, in ρ and in rad."""

@@ -16,9 +16,9 @@ from pgti_gtsam.gate import paper_rule
 from pgti_gtsam.gate.admission import Admission, Weight
 from pgti_gtsam.gate.candidate_map import CandidateMaps
 from pgti_gtsam.gate.decision import ClosureDecision, Term, Verdict
-from pgti_gtsam.gate.drift_model import Settled
 from pgti_gtsam.gate.options import GateOptions
 from pgti_gtsam.gate.reference_map import ReferenceMap
+from pgti_gtsam.gate.settled import Settled
 from pgti_gtsam.gate.terms import contact_rise, drift
 from pgti_gtsam.pose_graph import PoseGraph, Radii, key_label
 

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from scipy.special import expit
 from scipy.stats import chi2
 
-from pgti_gtsam.gate.drift_model import DriftModel, Settled
+from pgti_gtsam.gate.drift_model import DriftModel
 from pgti_gtsam.gate.left_out import left_out, left_out_together
+from pgti_gtsam.gate.settled import Settled, settle
 from pgti_gtsam.gate.terms.drift import log_odds, log_odds_together
 from pgti_gtsam.gate.ties import OFFSET, OFFSET_RAD
 from pgti_gtsam.places import neighbourhoods
@@ -88,12 +89,12 @@ def own_closures(model: DriftModel) -> OwnClosures:
     Raises
     ------
     UnsolvableGraphError
-        Those of `DriftModel.settled`.
+        Those of `settle`.
     """
     closures, active = model.ties.closures, np.ones(len(model.ties.pairs), dtype=bool)
     returned, charge = np.zeros(len(closures), dtype=bool), np.full(len(closures), np.nan)
     groups = _revisits(model)
-    settled = model.settled(active)
+    settled = settle(model, active)
     for n_rounds in range(MAX_ROUNDS):  # noqa: B007  the last one is a result
         # what the others say of each, and of each revisit
         missed, others = left_out(settled, closures)
@@ -114,7 +115,7 @@ def own_closures(model: DriftModel) -> OwnClosures:
             returned |= acquitted
         else:
             break
-        settled = model.settled(active, start=settled)
+        settled = settle(model, active, settled)
     own = model.translation
     turned = np.delete(missed, np.arange(missed.shape[1])[own], axis=1)
     squares = np.linalg.eigvalsh(np.nan_to_num(poorer * others[:, own, own], nan=0.0))

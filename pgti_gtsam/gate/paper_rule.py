@@ -13,8 +13,8 @@ import numpy as np
 
 from pgti_gtsam.gate.admission import Weight
 from pgti_gtsam.gate.decision import Change, Term
-from pgti_gtsam.gate.drift_model import Settled
 from pgti_gtsam.gate.options import GateOptions
+from pgti_gtsam.gate.settled import Settled, settle
 from pgti_gtsam.integrity import Integrity
 
 
@@ -27,7 +27,7 @@ def admitted(
     for k in sorted(range(len(weights)), key=lambda k: int(settled.model.ties.pairs[weights[k].ties].max())):
         active = settled.active.copy()
         active[weights[k].ties] = True
-        tried = settled.model.settled(active, settled)
+        tried = settle(settled.model, active, settled)
         after = integrity_of(tried)
         terms[k] = {options.rule: _term(before, after, options)}
         if terms[k][options.rule].log_odds > 0:

@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from pgti_gtsam.adapter.values import Keyframes, read_keyframes
 from pgti_gtsam.gate.candidates import Tie, agreeing, implied_tie, measured_ties
-from pgti_gtsam.gate.drift_model import Settled, drift_model
+from pgti_gtsam.gate.drift_model import drift_model
 from pgti_gtsam.gate.scored_map import ScoredMap
+from pgti_gtsam.gate.settled import Settled, settle
 from pgti_gtsam.gate.terms.contact_rise import Contacts, contacts
 from pgti_gtsam.pose_graph import EdgeSource, PoseGraph
 from pgti_gtsam.track import track_of
@@ -51,9 +52,9 @@ class ReferenceMap:
         Raises
         ------
         NoRadiusError, UnsolvableGraphError
-            Those of `drift_model` and `DriftModel.settled`.
+            Those of `drift_model` and `settle`.
         """
-        settled = drift_model(graph, values, pose_graph).settled()
+        settled = settle(drift_model(graph, values, pose_graph))
         return cls(graph=graph, keyframes=read_keyframes(values), pose_graph=pose_graph, settled=settled, beta=beta)
 
     @property

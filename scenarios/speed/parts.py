@@ -17,6 +17,7 @@ from pgti_gtsam.estimate import optimised
 from pgti_gtsam.gate.batch import closure_ends
 from pgti_gtsam.gate.candidate_map import CandidateMaps
 from pgti_gtsam.gate.reference_map import ReferenceMap
+from pgti_gtsam.gate.settled import settle
 from pgti_gtsam.gate.terms.contact_rise import local_rise
 from pgti_gtsam.gate.terms.drift import log_odds
 from pgti_gtsam.integrity import STABLE_TIMES, relative_distortion, stable_scores, time_grid
@@ -205,7 +206,7 @@ def _stages(
     model = settled.model
     log_odds(model, settled.residuals[own], settled.covariances(model.ties.pairs[own]))
     watch.look("weighing")
-    tied = model.settled(np.ones_like(settled.active), settled)
+    tied = settle(model, np.ones_like(settled.active), settled)
     watch.look("optimum with the closure")
 
     # Λ and Λ_glob with and without
