@@ -6,10 +6,10 @@ import pytest
 import streets
 
 import pgti_gtsam as pgti
-from pgti_gtsam.gate.drift_model import ANCHOR, drift_model
+from pgti_gtsam.gate.drift_model import drift_model
 from pgti_gtsam.gate.left_out import left_out
 from pgti_gtsam.gate.own_closures import own_closures
-from pgti_gtsam.gate.settled import settle
+from pgti_gtsam.gate.settled import ANCHOR, settle
 from pgti_gtsam.gate.ties import DRIFT, OFFSET, STRETCH
 
 RADIUS = 2.0

@@ -7,8 +7,9 @@ import streets
 
 import pgti_gtsam as pgti
 from pgti_gtsam.gate.batch import leave_one_out
-from pgti_gtsam.gate.drift_model import ANCHOR, drift_model
+from pgti_gtsam.gate.drift_model import drift_model
 from pgti_gtsam.gate.own_closures import own_closures
+from pgti_gtsam.gate.settled import ANCHOR
 from pgti_gtsam.gate.ties import errors_of
 
 RADIUS = 2.0
