@@ -231,7 +231,8 @@ def _place_poses(file: TextFile, held: Collection[int], betweens: Sequence[Betwe
     file.notes.append("the file stores no poses: they are chained from the odometry")
     if others_used:
         file.notes.append(f"the odometry is broken: poses were placed through {others_used} closures")
-    return placed, f"has no vertex line, and no chain of edges leads there from {keys[0]}"
+    advice = "add vertex lines, or an edge that ties the two parts"
+    return placed, f"has no vertex line, and no chain of edges leads there from {keys[0]}; {advice}"
 
 
 def _missing(

@@ -59,7 +59,8 @@ def _spatial(file: TextFile) -> list[Sighting]:
     offsets = _sensor_offsets(file)
     for line, offset in zip(table.lines.tolist(), table.ids[:, 2].tolist(), strict=True):
         if offset not in offsets:
-            raise file.error(f"sensor offset {offset} has no PARAMS_SE3OFFSET line", line)
+            advice = f"add 'PARAMS_SE3OFFSET {offset} 0 0 0 0 0 0 1' if the sensor sits where the body is"
+            raise file.error(f"sensor offset {offset} has no PARAMS_SE3OFFSET line; {advice}", line)
     sensors = [offsets[offset] for offset in table.ids[:, 2].tolist()]
     seen = zip(sensors, table.numbers[:, :3], strict=True)
     places = np.array([sensor.transformFrom(point) for sensor, point in seen]).reshape(-1, 3)

@@ -20,9 +20,10 @@ from pgti_gtsam.diagnosis.contacts import Contacts
 from pgti_gtsam.diagnosis.records import ClosureFinding, Diagnosis, Place, Proposal
 from pgti_gtsam.errors import UnsolvableGraphError
 from pgti_gtsam.estimate import Convergence, convergence
-from pgti_gtsam.gate.drift_model import drift_model
+from pgti_gtsam.gate.drift_model import DriftModel, drift_model
 from pgti_gtsam.gate.own_closures import OwnClosures, own_closures
 from pgti_gtsam.integrity import assess
+from pgti_gtsam.pose_graph import EdgeSource, PoseGraph
 from pgti_gtsam.track import track_of
 
 __all__ = ["ClosureFinding", "Diagnosis", "Place", "Proposal", "diagnose"]
@@ -78,7 +79,7 @@ def diagnose(
     progress("places")
     contacts = Contacts.of(pose_graph, integrity, model, judged)
     places, findings = tuple(contacts.places()), _findings(judged)
-    level, reason = words.verdict(integrity, places, findings)
+    level, reason = words.verdict(integrity, places, findings, lacking=_lacking(pose_graph, model))
     return Diagnosis(
         verdict=level,
         reason=reason,
@@ -90,6 +91,19 @@ def diagnose(
         unit_m=model.unit_m,
         n_chains=track_of(pose_graph).n_chains,
     )
+
+
+def _lacking(pose_graph: PoseGraph, model: DriftModel) -> int:
+    """How many landmarks fix two keyframes to each other, where no factor ties any and no two share so many; else 0.
+
+    A sighting of a point gives at most as many numbers as the space has dimensions, and a relative pose has three in
+    the plane and six in space: one shared landmark fixes none, and two leave a turn about their line in space.
+    """
+    needed = 2 if model.is_planar else 3
+    adapted = pose_graph.adaptation
+    if adapted is None or not adapted.n_landmarks or (pose_graph.edge_sources & EdgeSource.BETWEEN).any():
+        return 0
+    return 0 if adapted.max_shared_landmarks >= needed else needed
 
 
 def _convergence(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> Convergence | None:

@@ -66,12 +66,20 @@ def closure_sentence(missed_m: float, missed_deg: float, allowed_m: float, *, is
     )
 
 
-def verdict(integrity: Integrity, places: Sequence[Place], closures: Sequence[ClosureFinding]) -> tuple[Level, str]:
-    """The verdict, and why. Passes without a common view make no map incomplete: no camera can tie them."""
+def verdict(
+    integrity: Integrity, places: Sequence[Place], closures: Sequence[ClosureFinding], *, lacking: int = 0
+) -> tuple[Level, str]:
+    """The verdict, and why. Passes without a common view make no map incomplete: no camera can tie them.
+
+    `lacking` is how many landmarks fix two keyframes to each other, where nothing else does and no two share so many.
+    """
     if not len(integrity.merged_edges):
         return "undecided", "The pose graph has no edge and no two spheres meet: there is nothing to compare."
     if integrity.n_components_pose_graph == len(integrity.keyframe_scores) > 1:
         return "undecided", "No edge of the pose graph ties any two keyframes."
+    if lacking:
+        parts = f"the pose graph is in {len(integrity.keyframe_scores)} parts"
+        return "undecided", f"No edge ties two keyframes, and no two share the {lacking} landmarks that do: {parts}."
 
     # the gravest finding decides
     false = [closure for closure in closures if closure.is_false]
