@@ -14,6 +14,7 @@ from pgti_gtsam.gate import (
 )
 from pgti_gtsam.integrity import BetaSplit, Distortion, Integrity, assess
 from pgti_gtsam.pose_graph import Adaptation, EdgeSource, PoseGraph
+from pgti_gtsam.replay import Measure, Moment, Replay, replay
 
 __all__ = [
     "Adaptation",
@@ -29,12 +30,16 @@ __all__ = [
     "Integrity",
     "Judgement",
     "LoopClosureGate",
+    "Measure",
+    "Moment",
     "PgtiError",
     "Place",
     "PoseGraph",
     "Proposal",
+    "Replay",
     "assess",
     "diagnose",
     "from_gtsam",
     "gate_graph",
+    "replay",
 ]

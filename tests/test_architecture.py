@@ -22,6 +22,7 @@ FLOORS = [
     "optimality",
     "integrity",
     "places",
+    "replay",
     "estimate",
     "gate",
     "diagnosis",

@@ -1,0 +1,98 @@
+"""A replay as JSON lines: what was replayed first, then a line a moment, so that a stopped run goes on."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, fields
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pgti_gtsam.errors import FileFormatError
+from pgti_gtsam.pose_graph import PoseGraph
+from pgti_gtsam.replay.moment import Measure, Moment
+
+SCHEMA, SCHEMA_VERSION = "pgti-gtsam/replay", 1
+_ARRAYS = ("keyframe_scores", "positions")
+
+
+def heading(pose_graphs: Sequence[PoseGraph], sizes: Sequence[int], measure: Measure) -> dict[str, Any]:
+    """The first line: the format, how the graph is measured, and a digest of the graphs and of the moments' sizes."""
+    digest = hashlib.sha256(np.array(sizes, dtype=np.int64).tobytes())
+    for each in pose_graphs:
+        for array in (each.keys, each.positions, each.radii, each.edges, each.edge_sources):
+            digest.update(np.ascontiguousarray(array).tobytes())
+    return {
+        "schema": SCHEMA,
+        "schema_version": SCHEMA_VERSION,
+        "pgti_gtsam_version": version("pgti-gtsam"),
+        "digest": digest.hexdigest(),
+        "measure": asdict(measure),
+    }
+
+
+def known_moments(path: Path | None, first: Mapping[str, Any]) -> list[Moment]:
+    """Moments that a file holds, from the first on; none where there is no file.
+
+    A last line that was cut off when the run was stopped is cut from the file.
+
+    Raises
+    ------
+    FileFormatError
+        The file is of another map, measured otherwise, or no replay.
+    """
+    if path is None or not path.is_file():
+        return []
+    text = path.read_text(encoding="utf-8")
+    whole = text[: text.rfind("\n") + 1]
+    if whole != text:
+        path.write_text(whole, encoding="utf-8")
+    try:
+        rows = [json.loads(line) for line in whole.splitlines()]
+    except json.JSONDecodeError as error:
+        raise FileFormatError(path, f"expected a JSON object a line, got {error}; name another file") from error
+    if rows and rows[0] != first:
+        raise FileFormatError(path, "expected a replay of this map with these options, got another; name another file")
+    return [_moment(row) for row in rows[1:]]
+
+
+@contextmanager
+def appended(path: Path | None, first: Mapping[str, Any]) -> Iterator[Callable[[Moment], None]]:
+    """A function that adds a moment to the file, which begins with the first line; without a file it does nothing."""
+    if path is None:
+        yield lambda moment: None
+        return
+    with path.open("a", encoding="utf-8") as file:
+        if file.tell() == 0:
+            file.write(json.dumps(first) + "\n")
+
+        def add(moment: Moment) -> None:
+            file.write(line(moment))
+            file.flush()
+
+        yield add
+
+
+def line(moment: Moment) -> str:
+    """A moment as a line of JSON; an infinite score is the text "infinite"."""
+    row = {each.name: getattr(moment, each.name) for each in fields(Moment) if each.name not in _ARRAYS}
+    row = {name: "infinite" if value == np.inf else value for name, value in row.items()}
+    return json.dumps(row | {name: packed(getattr(moment, name)) for name in _ARRAYS}, allow_nan=False) + "\n"
+
+
+def packed(array: NDArray[np.float32]) -> str:
+    """Little-endian single precision in base64."""
+    return base64.b64encode(np.ascontiguousarray(array, dtype="<f4").tobytes()).decode()
+
+
+def _moment(row: Mapping[str, Any]) -> Moment:
+    values = {name: np.inf if value == "infinite" else value for name, value in row.items()}
+    scores, positions = (np.frombuffer(base64.b64decode(row[name]), dtype="<f4").copy() for name in _ARRAYS)
+    return Moment(**values | {"keyframe_scores": scores, "positions": positions.reshape(-1, 3)})
