@@ -13,6 +13,7 @@ from pgti_gtsam.gate import (
     gate_graph,
 )
 from pgti_gtsam.integrity import BetaSplit, Distortion, Integrity, assess
+from pgti_gtsam.new_ties import NewTie, best_revisits
 from pgti_gtsam.pose_graph import Adaptation, EdgeSource, PoseGraph
 from pgti_gtsam.replay import Measure, Moment, Replay, replay
 
@@ -32,12 +33,14 @@ __all__ = [
     "LoopClosureGate",
     "Measure",
     "Moment",
+    "NewTie",
     "PgtiError",
     "Place",
     "PoseGraph",
     "Proposal",
     "Replay",
     "assess",
+    "best_revisits",
     "diagnose",
     "from_gtsam",
     "gate_graph",

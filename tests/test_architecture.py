@@ -22,6 +22,7 @@ FLOORS = [
     "optimality",
     "integrity",
     "places",
+    "new_ties",
     "replay",
     "estimate",
     "gate",
