@@ -3,9 +3,10 @@
 import gtsam
 import numpy as np
 import pytest
-from streets import RADIUS, STEP, between, block, driven, ramp, straight, turn
+from streets import RADIUS, STEP, World, between, block, driven, ramp, straight, turn
 
 from pgti_gtsam.errors import InvalidClosureError, UnusedValueError
+from pgti_gtsam.factor_graphs import factors_of
 from pgti_gtsam.gate.batch import gate_graph
 from pgti_gtsam.gate.gate import LoopClosureGate
 
@@ -165,3 +166,25 @@ def test_one_bad_closure_among_good_ones_is_refused_before_any_is_judged(lap, na
     for judge in (GATE.evaluate_many, GATE.evaluate_group):
         with pytest.raises(InvalidClosureError, match=words):
             judge(lap.graph, lap.values, closures, RADIUS)
+
+
+# x to the right, y down, z ahead; and one that hangs upside down and looks to the left
+OPTICAL = gtsam.Rot3(np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]]))
+HANGING = gtsam.Rot3(np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, -1]]))
+
+
+@pytest.mark.parametrize("mount", [OPTICAL, HANGING])
+def test_how_the_sensor_is_mounted_says_nothing(mount):
+    plain = driven(in_space(block(60) + straight(20)), bias=0.003, noise=0.003)
+    turned = gtsam.Pose3(mount, np.zeros(3))
+    mounted = World([pose.compose(turned) for pose in plain.truth])
+    for key in range(len(plain.truth)):
+        mounted.values.insert(key, plain.values.atPose3(key).compose(turned))
+    for factor in factors_of(plain.graph):
+        measured = turned.inverse().compose(factor.measured()).compose(turned)
+        mounted.graph.push_back(between(*factor.keys(), measured))
+    for i, j in ((4, 4 + LAP), (8, 8 + LAP)):
+        odds = [judged(world, world.closure(i, j)).terms["drift"].log_odds for world in (plain, mounted)]
+        assert odds[1] == pytest.approx(odds[0], abs=0.05)
+    false = [judged(world, world.closure(20, LAP, NOWHERE_3D)).terms["drift"].log_odds for world in (plain, mounted)]
+    assert false[1] == pytest.approx(false[0], rel=0.02)

@@ -130,7 +130,7 @@ def drift_model(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, pose_gr
         steps = ties.only(ties.drifts > 0)
         body = upright(*chained(len(poses), steps.pairs, steps.measured, steps.drifts))
         levelling = gtsam.Pose3(body.levelling, np.zeros(3))
-        ties = ties.levelled(body)
+        ties = ties.levelled(body, unit)
     return DriftModel(
         unit_m=unit,
         poses=tuple(pose.compose(levelling) for pose in poses),

@@ -74,12 +74,14 @@ class Ties:
             drifts=self.drifts[own],
         )
 
-    def levelled(self, body: Upright) -> Ties:
+    def levelled(self, body: Upright, unit: float) -> Ties:
         """The same ties between poses that are turned so that their z axis is the body's vertical, in space only."""
         turn = gtsam.Pose3(body.levelling, np.zeros(3))
-        variances = self.variances.copy()
-        variances[self.drifts > 0, :2] *= body.tilt**2
         measured = tuple(turn.inverse().compose(z).compose(turn) for z in self.measured)
+        variances, steps = self.variances.copy(), np.flatnonzero(self.drifts > 0)
+        for k in steps.tolist():
+            variances[k] = step_variances(measured[k], unit)
+        variances[steps, :2] *= body.tilt**2
         return replace(self, measured=measured, variances=variances)
 
 
@@ -99,10 +101,7 @@ def ties_of(graph: gtsam.NonlinearFactorGraph, pose_graph: PoseGraph, poses: Seq
         # a step of the track drifts with its length
         if source & EdgeSource.ODOMETRY:
             step = found[0][0] if found else poses[i].between(poses[j])
-            drift = DRIFT * float(np.sqrt(max(_length(step) / unit, _angle(step), SHORTEST)))
-            variances = variances_of(drift * unit, drift, is_planar=planar)
-            variances[translation_of(planar)] += np.square(STRETCH / DRIFT * drift * unit * _direction(step))
-            rows.append(((i, j), step, variances, -1, drift**2))
+            rows.append(((i, j), step, step_variances(step, unit), -1, _drift(step, unit) ** 2))
             continue
 
         # a closure, or what both keyframes see, holds as well as a match
@@ -116,6 +115,19 @@ def ties_of(graph: gtsam.NonlinearFactorGraph, pose_graph: PoseGraph, poses: Seq
         slots=np.array([row[3] for row in rows], dtype=np.int64),
         drifts=np.array([row[4] for row in rows]),
     )
+
+
+def step_variances(step: Any, unit: float) -> Array:
+    """Variances of a step of odometry, in the tangent space of its end, (d,): it drifts with its length."""
+    drift, planar = _drift(step, unit), isinstance(step, gtsam.Pose2)
+    variances = variances_of(drift * unit, drift, is_planar=planar)
+    variances[translation_of(planar)] += np.square(STRETCH / DRIFT * drift * unit * _direction(step))
+    return variances
+
+
+def _drift(step: Any, unit: float) -> float:
+    """Standard deviation of the heading that a step gathers, rad."""
+    return DRIFT * float(np.sqrt(max(_length(step) / unit, _angle(step), SHORTEST)))
 
 
 def free_space_unit(pose_graph: PoseGraph) -> float:
