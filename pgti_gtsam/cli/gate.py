@@ -27,8 +27,9 @@ from pgti_gtsam.cli.options import (
     read_map,
     split_names,
 )
-from pgti_gtsam.datasets import Dataset, write_g2o
+from pgti_gtsam.datasets import Dataset
 from pgti_gtsam.datasets.formats import gtsam_archive
+from pgti_gtsam.datasets.writer import Outcome, write_graph
 from pgti_gtsam.errors import InvalidOptionError
 from pgti_gtsam.gate import GatedGraph, GateOptions, LoopClosureGate, gate_graph
 from pgti_gtsam.gate.batch import leave_one_out
@@ -36,6 +37,7 @@ from pgti_gtsam.report.decisions import closures_document, decision_records, lea
 from pgti_gtsam.report.document import write_json
 from pgti_gtsam.report.terminal import print_closures, print_decisions, print_heading, print_left_out, print_tally
 
+ARCHIVES = (gtsam_archive.NAME, gtsam_archive.XML_NAME)
 Tell = Callable[[str, int, int], None]
 
 
@@ -55,7 +57,7 @@ def gate(
     scores: Annotated[bool, typer.Option("--scores", help="Show Λ_glob before and after each; slow.")] = False,
     decisions: Annotated[Path | None, typer.Option(help="Write every decision, a JSON object a line.")] = None,
     out: Annotated[
-        Path | None, typer.Option(help="Write the gated graph: g2o, or an archive where FILE is one.")
+        Path | None, typer.Option(help="Write the gated graph: in FILE's format where that holds one, else as g2o.")
     ] = None,
     out_values: Annotated[
         Path | None, typer.Option(help="Write the gated graph's optimum, where FILE is an archive.")
@@ -71,7 +73,7 @@ def gate(
     with counted() as tell:
         tell("reading", 0, 1)
         dataset, radii = read_map(files, radius, cloud, every)
-        if out_values is not None and dataset.format != gtsam_archive.NAME:
+        if out_values is not None and dataset.format not in ARCHIVES:
             raise InvalidOptionError(f"expected --out-values with a GTSAM archive, got {dataset.format}: use --out")
 
         # judge the closures
@@ -88,7 +90,7 @@ def gate(
         )
 
         # write what was asked for
-        unwritten = _write_gated(dataset, gated, out, out_values)
+        written = _write_gated(dataset, gated, out, out_values)
         if decisions is not None:
             write_json_lines(records, decisions)
         if rejected is not None:
@@ -99,10 +101,9 @@ def gate(
     print_heading(dataset.title, f"{len(records)} loop closures, the surest judged first", dataset.notes, console)
     print_decisions(records, console)
     print_tally(records, console, seconds=time.perf_counter() - started)
-    print_left_out(unwritten, "the gated graph's file", console)
-    _print_paths(
-        {"decisions": decisions, "gated graph": out, "its values": out_values, "rejected closures": rejected}, console
-    )
+    print_left_out(written.unwritten, "the gated graph's file", console)
+    graph = f"gated graph, {written.surprise}" if written.surprise else "gated graph"
+    _print_paths({"decisions": decisions, graph: out, "its values": out_values, "rejected closures": rejected}, console)
 
 
 def closures(
@@ -180,21 +181,11 @@ def _ends(dataset: Dataset, slots: Any) -> dict[int, list[int]]:
     return {slot: list(dataset.graph.at(slot).keys()) for slot in slots}
 
 
-def _write_gated(dataset: Dataset, gated: GatedGraph, out: Path | None, out_values: Path | None) -> Mapping[str, int]:
-    """Write the gated graph in the kind of format that it came in; returns what could not be written."""
+def _write_gated(dataset: Dataset, gated: GatedGraph, out: Path | None, out_values: Path | None) -> Outcome:
+    """Write the gated graph, and where that is asked for its values."""
     if out_values is not None:
         gtsam_archive.write_archive(gated.values, out_values)
-    if out is None:
-        return {}
-    if dataset.format == gtsam_archive.NAME:
-        gtsam_archive.write_archive(gated.graph, out)
-        return {}
-    written = write_g2o(gated.graph, gated.values, out, names=dataset.names)
-    own = {
-        "keys, which comments at its end name instead": len(written.renumbered),
-        "radii, which g2o has no word for": len(dataset.radii or ()),
-    }
-    return {**written.unwritten, **{what: count for what, count in own.items() if count}}
+    return Outcome({}) if out is None else write_graph(dataset, gated.graph, gated.values, out)
 
 
 def _write_pairs(dataset: Dataset, slots: Iterable[int], path: Path) -> None:

@@ -48,7 +48,10 @@ FOREIGN = (
     Foreign(b"PK\x03\x04", True, "a zip archive", "unpack it and name the file in it"),
     Foreign(b"\x89HDF", True, "an HDF5 file", "write the graph as g2o, or its poses as a TUM trajectory"),
     Foreign(b"\x93NUMPY", True, "a NumPy array", "write the graph as g2o, or its poses as a TUM trajectory"),
-    Foreign(b"\x80\x04\x95", True, "a Python pickle", "write the graph as g2o, or its poses as a TUM trajectory"),
+    *(
+        Foreign(b"\x80" + bytes([protocol]), True, "a Python pickle", "write graph.serialize() and values.serialize()")
+        for protocol in range(2, 6)
+    ),
 )
 
 
@@ -84,5 +87,8 @@ def _text(file: TextFile) -> str:
         width = len(first.split())
         unknown = f"is a table of {width} numbers, which is no known format; a TUM trajectory has 8, KITTI's 12"
         return TABLES.get(width, unknown)
+    if is_number(first.split()[0]):
+        word = next(word for word in first.split() if not is_number(word))
+        return f"looks like a table of numbers, but holds {quote(word)} on line {file.lines[0].number}"
     shown = ", ".join(quote(tag, 20) for tag in list(file.tags)[:3])
     return f"is of no known format: its lines start with {shown}; expected a map, as g2o for instance"

@@ -8,7 +8,7 @@ is inverted, so what was not measured stays unmeasured.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import gtsam
 import numpy as np
@@ -65,6 +65,27 @@ def spatial_jacobian(points: NDArray[np.float64]) -> NDArray[np.float64]:
     ranges = np.linalg.norm(points, axis=1)[:, None, None]
     bases = np.array([gtsam.Unit3(point).basis() for point in points]).reshape(-1, 3, 2)
     return np.concatenate([ranges * bases, points[:, :, None] / ranges], axis=2)
+
+
+def cartesian(point: NDArray[np.float64], information: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Λ with Kᵀ Λ K the information in bearing and range: what `sightings` does, undone; NaN at range zero."""
+    if not np.linalg.norm(point) > 0.0:
+        return np.full_like(information, np.nan)
+    jacobian = planar_jacobian if len(point) == 2 else spatial_jacobian
+    inverse = np.linalg.inv(jacobian(point[None])[0])
+    return np.asarray(inverse.T @ information @ inverse)
+
+
+def planar_point(factor: Any) -> NDArray[np.float64]:
+    """The point that a BearingRangeFactor2D measures, seen from its pose, (2,) m."""
+    seen = factor.measured()
+    return np.asarray(seen.range() * np.array([seen.bearing().c(), seen.bearing().s()]))
+
+
+def spatial_point(factor: Any) -> NDArray[np.float64]:
+    """The point that a BearingRangeFactor3D measures, seen from its pose, (3,) m."""
+    seen = factor.measured()
+    return np.asarray(seen.range() * np.asarray(seen.bearing().point3()))
 
 
 def sightings(

@@ -48,7 +48,7 @@ def loss_words(loss: Any) -> list[str]:
     return next((said for said in (words, [*words, "Scalar"]) if _made(said).serialize() == archive), [])
 
 
-def loss_comment(ids: Sequence[int], words: Sequence[str]) -> str:
+def loss_comment(ids: Sequence[object], words: Sequence[str]) -> str:
     """The comment for the edge whose tag these identifiers follow."""
     return " ".join(["#", str(ids[0]), str(ids[1] if len(ids) > 1 else ids[0]), MARK, *words])
 

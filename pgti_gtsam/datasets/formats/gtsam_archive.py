@@ -20,7 +20,7 @@ from pgti_gtsam.datasets.foreign import ENDINGS
 from pgti_gtsam.datasets.source import Format, Source, read_bytes, read_text
 from pgti_gtsam.errors import FileFormatError
 
-NAME = "GTSAM archive"
+NAME, XML_NAME = "GTSAM archive", "GTSAM archive as XML"
 MAGIC = b"serialization::archive"
 HEAD = 400  # characters in which an archive has named itself, XML prologue included
 VALUES_MARK = "gtsam::GenericValue<"
@@ -62,7 +62,7 @@ def parse(source: Source) -> Dataset:
         notes.append(f"{empty} slots of the graph are empty: their factors were removed")
     return Dataset(
         name=source.name,
-        format=NAME,
+        format=XML_NAME if b"boost_serialization" in source.head[:HEAD] else NAME,
         graph=graph,
         values=values,
         notes=tuple(notes),
