@@ -2,8 +2,8 @@
 
 Scans are ``FLASER`` or, in newer logs, ``ROBOTLASER1`` messages (see `scans`). A scan becomes a keyframe where
 the robot has moved far enough since the last one. Odometry between keyframes is the log's, its sigmas are
-assumed. Beside ``NAME.clf`` may lie ``NAME.relations``, lines ``time time x y z roll pitch yaw``: hand-checked
-poses of the second scan seen from the first. The long-range ones become closures that are known to be true.
+assumed. Beside ``NAME.clf`` may lie ``NAME.relations``, whose long-range ones become closures that are known to be
+true (see `relations`).
 """
 
 from __future__ import annotations
@@ -11,17 +11,16 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import replace
 from itertools import pairwise
-from typing import NamedTuple
 
 import gtsam
 import numpy as np
-from numpy.typing import NDArray
 
 from pgti_gtsam.datasets.assembly import Entry, assemble, planar_poses
 from pgti_gtsam.datasets.dataset import Dataset
+from pgti_gtsam.datasets.relations import RELATION_SIGMAS, Relation, loop_relations
 from pgti_gtsam.datasets.scans import Scan, read_scan, smallest_range
-from pgti_gtsam.datasets.source import Format, Source, read_lines
-from pgti_gtsam.datasets.text import TextFile, note_ignored
+from pgti_gtsam.datasets.source import Format, Source
+from pgti_gtsam.datasets.text import note_ignored
 from pgti_gtsam.errors import InvalidOptionError
 
 NAME = "CARMEN log"
@@ -32,17 +31,6 @@ TAGS = set(SCANS)
 # odometry leaves its 1191 short relations, 0.27 m in the median, by 0.05 m, 0.02 m and 0.025 rad (standard
 # deviations). A default step is about twice as long.
 ODOMETRY_SIGMAS = (0.1, 0.1, 0.05)
-RELATION_SIGMAS = (0.05, 0.05, 0.02)  # assumed: a scan matched by hand, to about a reading's spacing
-LOOP_NODES = 10  # relations between nodes farther apart than this close a loop; in `aces` none has 2 to 81
-SAME_TIME_S = 0.05  # half the time between two scans at 10 Hz
-
-
-class Relation(NamedTuple):
-    """Two scans or keyframes, and the pose of the second seen from the first."""
-
-    first: int
-    second: int
-    pose: gtsam.Pose2
 
 
 def parse(source: Source, *, step_m: float = 0.5, step_rad: float = 0.5) -> Dataset:
@@ -67,7 +55,7 @@ def parse(source: Source, *, step_m: float = 0.5, step_rad: float = 0.5) -> Data
     file = source.file
     tag = next(tag for tag in SCANS if tag in file.tags)
     scans = [read_scan(file, line) for line in file.tags[tag]]
-    relations, remarks = _loop_relations(file, np.array([scan.time_s for scan in scans]))
+    relations, remarks = loop_relations(file, np.array([scan.time_s for scan in scans]))
 
     # keyframes, and what ties them
     chosen = _choose_keyframes(scans, step_m, step_rad, {end for loop in relations for end in loop[:2]})
@@ -122,30 +110,6 @@ def _radii(scans: Sequence[Scan], chosen: Sequence[int]) -> dict[int, float]:
     no_echo = max(float(scan.ranges_m.max(initial=0.0)) for scan in scans)
     ranges = {key: smallest_range(scans[i], no_echo) for key, i in enumerate(chosen)}
     return {key: radius for key, radius in ranges.items() if radius is not None}
-
-
-def _loop_relations(file: TextFile, times: NDArray[np.float64]) -> tuple[list[Relation], list[str]]:
-    """Long-range relations between scans, from the file beside the log, and what to say of them."""
-    path = file.path.with_name(f"{file.name}.relations")
-    if not path.is_file():
-        return [], [f"there is no {path.name} beside the log, and so no closure"]
-    table = read_lines(path).rows(ids=0, widths=[8])
-    ends, poses = table.numbers[:, :2], table.numbers[:, [2, 3, 7]]
-    # relations far apart in time, by the scans next to their times
-    nodes = np.searchsorted(np.unique(ends), ends)
-    loops = np.flatnonzero(np.abs(nodes[:, 1] - nodes[:, 0]) > LOOP_NODES)
-    nearest = np.abs(times[:, None, None] - ends[loops]).argmin(axis=0)
-    known = (np.abs(times[nearest] - ends[loops]) <= SAME_TIME_S).all(axis=1) & (nearest[:, 0] != nearest[:, 1])
-    relations = [
-        Relation(first, second, gtsam.Pose2(*pose))
-        for (first, second), pose in zip(nearest[known].tolist(), poses[loops][known].tolist(), strict=True)
-    ]
-    far = f"{len(relations)} of {len(ends)} relations in {path.name} lie more than {LOOP_NODES} nodes apart and are"
-    sigmas = f"with assumed sigmas {RELATION_SIGMAS} (m, m, rad)"
-    notes = [f"{far} closures, hand-checked, {sigmas}; the others are not used"]
-    if len(relations) < len(loops):
-        notes.append(f"{len(loops) - len(relations)} relations name a time at which there is no scan")
-    return relations, notes
 
 
 FORMAT = Format(NAME, lambda source: bool(TAGS & source.tags), parse)
