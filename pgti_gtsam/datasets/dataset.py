@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import gtsam
+import numpy as np
+from numpy.typing import NDArray
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -42,6 +44,8 @@ class Dataset:
         Lines that tie poses in an unknown way and were left out because that was asked for.
     names : mapping of int to str
         What the file calls a variable, by key, where that is not the key itself.
+    scans : mapping of int to (n, 2) float
+        Where the readings of a pose's laser scan end, seen from the pose, m; empty where the file holds no scans.
     """
 
     name: str
@@ -55,6 +59,7 @@ class Dataset:
     notes: tuple[str, ...] = ()
     ignored_edges: int = 0
     names: Mapping[int, str] = field(default_factory=dict)
+    scans: Mapping[int, NDArray[np.float64]] = field(default_factory=dict)
 
     @property
     def title(self) -> str:

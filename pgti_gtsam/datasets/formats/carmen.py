@@ -81,6 +81,8 @@ def parse(source: Source, *, step_m: float = 0.5, step_rad: float = 0.5) -> Data
         loops=_entries(loops, RELATION_SIGMAS, lines),
         radii=_radii(scans, chosen),
     )
+    no_echo = _no_echo(scans)
+    dataset = replace(dataset, scans={key: scans[i].points(no_echo) for key, i in enumerate(chosen)})
     return replace(dataset, true_closures=frozenset(dataset.closures or ())) if relations else dataset
 
 
@@ -106,10 +108,15 @@ def _entries(relations: Iterable[Relation], sigmas: Sequence[float], lines: Sequ
 
 
 def _radii(scans: Sequence[Scan], chosen: Sequence[int]) -> dict[int, float]:
-    """Smallest valid range of every keyframe's scan; the log's largest reading stands for 'no echo'."""
-    no_echo = max(float(scan.ranges_m.max(initial=0.0)) for scan in scans)
+    """Smallest valid range of every keyframe's scan."""
+    no_echo = _no_echo(scans)
     ranges = {key: smallest_range(scans[i], no_echo) for key, i in enumerate(chosen)}
     return {key: radius for key, radius in ranges.items() if radius is not None}
+
+
+def _no_echo(scans: Sequence[Scan]) -> float:
+    """The log's largest reading, which stands for 'no echo', m."""
+    return max(float(scan.ranges_m.max(initial=0.0)) for scan in scans)
 
 
 FORMAT = Format(NAME, lambda source: bool(TAGS & source.tags), parse)

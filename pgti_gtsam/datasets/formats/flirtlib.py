@@ -7,12 +7,14 @@ smallest range of its scan. The scanner of the two published logs sees 180° onl
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from pgti_gtsam.datasets.assembly import assemble
 from pgti_gtsam.datasets.dataset import Dataset
 from pgti_gtsam.datasets.formats.toro import edges, vertices
-from pgti_gtsam.datasets.scans import read_scan, smallest_range
+from pgti_gtsam.datasets.scans import Scan, read_scan, smallest_range
 from pgti_gtsam.datasets.source import Format, Source
 from pgti_gtsam.datasets.text import TextFile, note_ignored
 
@@ -31,12 +33,14 @@ def parse(source: Source) -> Dataset:
     """
     file = source.file
     file.notes.append("poses are the stored, optimised ones; radii are the smallest valid ranges of the scans")
-    poses, entries, radii = vertices(file), edges(file), _radii(file)
+    poses, entries, scans = vertices(file), edges(file), _scans(file)
+    found = {vertex: smallest_range(scan) for vertex, scan in scans.items()}
+    radii = {vertex: radius for vertex, radius in found.items() if radius is not None}
     if missing := len(poses) - len(radii):
         file.notes.append(f"{missing} poses have no scan with a valid range and so no radius")
     note_ignored(file, TAGS)
     first = next((line.number for line in file.comments if line.text == LOOPS), None)
-    return assemble(
+    dataset = assemble(
         file,
         format=NAME,
         poses=poses,
@@ -45,21 +49,22 @@ def parse(source: Source) -> Dataset:
         radii=radii,
         known=TAGS,
     )
+    return replace(dataset, scans={vertex: scan.points() for vertex, scan in scans.items()})
 
 
-def _radii(file: TextFile) -> dict[int, float]:
-    """Smallest valid range of the scan that follows each vertex, by vertex."""
+def _scans(file: TextFile) -> dict[int, Scan]:
+    """The scan that follows each vertex, by vertex."""
     table = file.table("VERTEX2", ids=1, widths=[3])
-    radii: dict[int, float | None] = {}
+    scans: dict[int, Scan] = {}
     for line in file.tags["ROBOTLASER1"]:
         row = int(np.searchsorted(table.lines, line.number)) - 1
         if row < 0:
             raise file.error("expected a VERTEX2 line before the first ROBOTLASER1", line.number)
         vertex = int(table.ids[row, 0])
-        if vertex in radii:
+        if vertex in scans:
             raise file.error(f"expected one scan per vertex, got a second one for vertex {vertex}", line.number)
-        radii[vertex] = smallest_range(read_scan(file, line))
-    return {vertex: radius for vertex, radius in radii.items() if radius is not None}
+        scans[vertex] = read_scan(file, line)
+    return scans
 
 
 FORMAT = Format(NAME, lambda source: source.tags >= {"VERTEX2", "ROBOTLASER1"}, parse)
