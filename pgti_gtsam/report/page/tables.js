@@ -17,6 +17,8 @@ function fillHeader() {
 function fillTiles() {
   const s = audit.summary;
   const parts = s.n_components_pose_graph;
+  const odometry = audit.adaptation?.edges.between === 0
+    ? "Without odometry, joined by what they see" : `On ${plural(s.n_chains, "chain")} of odometry`;
   const connected = parts === 1 ? "all connected" : `in ${count(parts)} parts that no edge connects`;
   const tiles = [
     [["Λ"], short(s.score), `Largest ζ, at keyframe ${keyframes.label[worst]}. 0: graph and space agree.`],
@@ -27,7 +29,7 @@ function fillTiles() {
     [["mean ζ"], short(s.mean_score), "Near Λ: trouble everywhere. Far below: in one place."],
     [["stable score"], short(s.stable_score), "Does not fade as the map grows: compare maps by this one."],
     [["keyframes"], count(s.n_keyframes),
-      `On ${plural(s.n_chains, "chain")} of odometry, ${connected}; ${plural(s.n_pose_graph_edges, "edge")}.`],
+      `${odometry}, ${connected}; ${plural(s.n_pose_graph_edges, "edge")}.`],
     [["collisions"], count(s.n_collision_edges),
       `Overlaps that nothing explains. Explained: ${count(s.n_fusion_edges)}. In all: ${count(s.n_free_space_edges)}.`],
   ];
