@@ -122,6 +122,29 @@ def test_registration_against_ten_neighbours_is_odometry_even_where_the_sensor_t
     assert closures(*world(poses, tied(poses, alone))) == [n - 1]
 
 
+def test_where_all_keyframes_are_registered_to_their_neighbours_only_the_loops_are_judged():
+    """A lap and a half in space, every keyframe tied to its ten neighbours: of 1249 factors four are loops."""
+    rng, turn = np.random.default_rng(0), gtsam.Rot3.Rz(2 * np.pi / 80)
+    poses = [gtsam.Pose3()]
+    for _ in range(129):
+        poses.append(poses[-1].compose(gtsam.Pose3(turn, [1, 0, 0])))
+    model, sigmas = gtsam.noiseModel.Isotropic.Sigma(6, 0.02), np.array([1e-3] * 3 + [0.01] * 3)
+    pairs = [(i, i + gap) for i in range(130) for gap in range(1, 11) if i + gap < 130]
+    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    for key, pose in enumerate(poses):
+        values.insert(key, pose)
+    for i, j in pairs:
+        error = gtsam.Pose3.Expmap(rng.normal(size=6) * sigmas)
+        graph.push_back(gtsam.BetweenFactorPose3(i, j, poses[i].between(poses[j]).compose(error), model))
+    for i, j in [(5, 85), (25, 105), (45, 125)]:
+        graph.push_back(gtsam.BetweenFactorPose3(i, j, poses[i].between(poses[j]), model))
+    graph.push_back(gtsam.BetweenFactorPose3(3, 43, gtsam.Pose3(), model))
+    gated = pgti.gate_graph(graph, values, 1.0)
+    n = len(pairs)
+    assert sorted(gated.decisions) == [n, n + 1, n + 2, n + 3]
+    assert (sorted(gated.accepted), gated.rejected) == ([n, n + 1, n + 2], (n + 3,))
+
+
 @SETTINGS
 @given(st.integers(0, 2**32 - 1), st.floats(0.0, 0.4))
 def test_registrations_that_fail_here_and_there_break_no_chain(seed, failing):
