@@ -85,7 +85,7 @@ def test_parts_that_no_tie_joins_may_lie_anywhere():
     graph.remove(10)
     pose_graph = pgti.from_gtsam(graph, world.values, radii=RADIUS)
     settled = settle(drift_model(graph, world.values, pose_graph))
-    allowances = settled.allowances_m(settled.covariances(np.array([[0, 20], [0, 5]])))
+    allowances = settled.model.allowances_m(settled.covariances(np.array([[0, 20], [0, 5]])))
     assert allowances[0] == np.inf
     assert 0 < allowances[1] < np.inf
 

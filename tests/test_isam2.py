@@ -1,5 +1,8 @@
 """A gated iSAM2 is iSAM2 of exactly what was admitted, whatever came, went or failed in between."""
 
+import importlib.util
+from pathlib import Path
+
 import gtsam
 import numpy as np
 import pytest
@@ -15,8 +18,10 @@ from pgti_gtsam.errors import (
     PgtiError,
     UnsolvableGraphError,
 )
+from pgti_gtsam.factor_graphs import slots_of
 from pgti_gtsam.gate.gate import LoopClosureGate
 from pgti_gtsam.gate.isam2 import GatedISAM2
+from pgti_gtsam.gate.options import GateOptions
 
 LAP = 4 * 12  # steps around a block of 20 m
 NOWHERE = gtsam.Pose2()
@@ -156,9 +161,9 @@ def test_a_review_afresh_agrees_where_nothing_is_wrong(world):
         (lambda w: (None, None, [gtsam.NonlinearFactorGraph()]), InvalidClosureError),
         (lambda w: (None, None, [w.closure(3, 97)]), InvalidClosureError),
         (lambda w: (None, None, [w.closure(3, 30, gtsam.Pose2(np.nan, 0, 0))]), InvalidClosureError),
-        (lambda w: (*step(w, 5), []), UnsolvableGraphError),
+        (lambda w: (*step(w, 5), []), InvalidOptionError),
         (lambda w: (*step(w, 5), [w.closure(3, 30)]), InvalidOptionError),
-        (lambda w: (step(w, 90)[0], None, []), UnsolvableGraphError),
+        (lambda w: (step(w, 90)[0], None, []), MissingValueError),
         (lambda w: (step(w, 90)[0], None, [w.closure(3, 30)]), MissingValueError),
     ],
 )
@@ -185,6 +190,106 @@ def test_a_slot_that_the_caller_reused_is_not_retracted(world):
     isam.smoother.update(gtsam.NonlinearFactorGraph(), gtsam.Values(), list(isam.admitted[0]))
     with pytest.raises(InvalidClosureError, match="changed from outside"):
         isam.retract(0)
+
+
+def test_a_step_that_isam2_fails_in_leaves_the_map_of_before(world):
+    isam = driven_to(world, LAP + 6)
+    isam.update(closures=[world.closure(5, LAP + 5)])
+    isam.retract(0)
+    isam.update(closures=[world.closure(6, LAP + 6)])
+    before, admitted = isam.estimate(), dict(isam.admitted)
+    filled = [slot for slot, _ in slots_of(isam.smoother.getFactorsUnsafe())]
+    spatial, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    spatial.push_back(gtsam.BetweenFactorPose3(LAP + 6, LAP + 7, gtsam.Pose3(), gtsam.noiseModel.Unit.Create(6)))
+    values.insert(LAP + 7, gtsam.Pose3())
+    with pytest.raises(UnsolvableGraphError, match="made anew"):
+        isam.update(spatial, values)
+    assert isam.admitted == admitted
+    assert [slot for slot, _ in slots_of(isam.smoother.getFactorsUnsafe())] == filled
+    isam.update(*step(world, LAP + 7), closures=[world.closure(7, LAP + 7)])
+    assert isam.estimate().atPose2(20).equals(before.atPose2(20), 0.1)
+    assert set(isam.admitted) == {1, 2}
+    isam.retract(1)
+
+
+@pytest.mark.parametrize(("bias", "off", "verdict"), [(0.01, 0.0, "accepted"), (0.002, 5.0, "rejected")])
+def test_an_undecided_closure_waits_for_more(bias, off, verdict):
+    world = driven(block(20, times=2) + straight(10), bias=bias, noise=0.005)
+    isam = driven_to(world, LAP + 10)
+    measured = world.truth[3].between(world.truth[LAP + 3]).compose(gtsam.Pose2(off, off, 0.0))
+    first = isam.update(closures=[world.closure(3, LAP + 3, measured)])
+    assert first.decisions[0].verdict == "undecided"
+    assert not isam.admitted
+    second = isam.update(closures=[world.closure(k, LAP + k) for k in (4, 5, 6, 7, 9)])
+    assert second.accepted == (1, 2, 3, 4, 5)
+    assert second.changed[0].verdict == verdict
+    assert (0 in isam.admitted) is (verdict == "accepted")
+    graph = isam.smoother.getFactorsUnsafe()
+    assert all(graph.at(slot).keys()[1] - LAP == graph.at(slot).keys()[0] for (slot,) in isam.admitted.values())
+    assert isam.update(closures=[world.closure(8, LAP + 8)]).changed == {}
+
+
+@pytest.mark.parametrize("robust", [False, True])
+def test_a_kept_map_decides_as_a_map_that_is_read_anew(robust):
+    lap, world = 4 * 32, driven(block(60, times=2), bias=0.0005, noise=0.002)
+    anew = GatedISAM2(eager(), radii=RADIUS, gate=LoopClosureGate(options=GateOptions(scores=True)))
+    kept = GatedISAM2(eager(), radii=RADIUS)
+    foreseen, huber = 0, gtsam.noiseModel.mEstimator.Huber.Create(1.345)
+    factors, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    factors.push_back(gtsam.PriorFactorPose2(0, world.truth[0], ORIGIN))
+    values.insert(0, world.truth[0])
+    for isam in (anew, kept):
+        isam.update(factors, values)
+    for k in range(1, 2 * lap):
+        closures = []
+        if k % 5 == 0 and k > lap + 3:
+            measured = NOWHERE if k % 20 == 0 else None
+            closures = [world.closure(k - lap + 33 * (k % 20 == 0), k, measured).at(0)]
+            if robust:
+                model = gtsam.noiseModel.Robust.Create(huber, closures[0].noiseModel())
+                closures = [gtsam.BetweenFactorPose2(*closures[0].keys(), closures[0].measured(), model)]
+        one, other = (isam.update(*step(world, k), closures) for isam in (anew, kept))
+        assert [d.verdict for d in one.decisions] == [d.verdict for d in other.decisions]
+        foreseen += sum(d.score is None for d in other.decisions)
+    assert anew.admitted == kept.admitted
+    assert foreseen > 10
+    assert len(kept.admitted) > 10
+    for number in sorted(kept.admitted)[::5]:
+        kept.retract(number)
+
+
+def test_what_isam2_has_is_had_here(world):
+    isam, bare = driven_to(world, 9), eager()
+    for k in range(10):
+        factors, values = step(world, k) if k else (gtsam.NonlinearFactorGraph(), gtsam.Values())
+        if not k:
+            factors.push_back(gtsam.PriorFactorPose2(0, world.truth[0], ORIGIN))
+            values.insert(0, world.truth[0])
+        bare.update(factors, values)
+    assert isam.calculateEstimatePose2(9).equals(bare.calculateEstimatePose2(9), 1e-12)
+    np.testing.assert_allclose(isam.marginalCovariance(9), bare.marginalCovariance(9))
+    assert isam.update(force_relinearize=True).result.getVariablesRelinearized() >= 0
+    assert isinstance(GatedISAM2(gtsam.ISAM2Params()).smoother, gtsam.ISAM2)
+    with pytest.raises(AttributeError):
+        _ = isam.nothing_of_the_kind
+
+
+EXAMPLES = ["Pose2ISAM2Example", "Pose3ISAM2Example", "VisualISAM2Example", "ImuFactorISAM2Example"]
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_the_examples_of_gtsam_run_with_the_gate_in_front(name, monkeypatch):
+    matplotlib = pytest.importorskip("matplotlib")
+    matplotlib.use("Agg")
+    pyplot = pytest.importorskip("matplotlib.pyplot")
+    monkeypatch.setattr(pyplot, "pause", lambda seconds: None)
+    source = Path(importlib.util.find_spec(f"gtsam.examples.{name}").origin).read_text(encoding="utf-8")
+    assert " ISAM2(" in source or "gtsam.ISAM2(" in source
+    made = []
+    gated = source.replace("gtsam.ISAM2(", "GatedISAM2(").replace(" ISAM2(", " GatedISAM2(")
+    exec(gated, {"__name__": "__main__", "GatedISAM2": lambda *given: made.append(GatedISAM2(*given)) or made[-1]})
+    pyplot.close("all")
+    assert made[0].estimate().size() > 2
 
 
 class GatedSmoother(RuleBasedStateMachine):

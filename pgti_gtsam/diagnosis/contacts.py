@@ -130,7 +130,7 @@ class Contacts:
         asked = np.concatenate([closest, loose[near_by.first]])
         settled = closures.settled
         covariances = settled.covariances(asked) * closures.drift_scale**2
-        allowances = settled.allowances_m(covariances)
+        allowances = settled.model.allowances_m(covariances)
         return cls(
             pose_graph=pose_graph,
             integrity=integrity,

@@ -3,14 +3,15 @@
 `ties` and `upright` say what holds a map together, `drift_model` what that predicts of any relative pose, and `terms`
 what a closure's measurement says against it. `reference_map` is the map before any candidate, `candidate_map` the map
 with some; `candidates` makes ties of closures, `admission` takes the surest first; `paper_rule` is the paper's gate on
-its own. `gate` decides, `batch` gates whole graphs, `isam2` wraps a smoother.
+its own. `gate` decides, `batch` gates whole graphs, `isam2` wraps a smoother, which keeps a `grown_map`.
 `left_out` and `own_closures` judge a finished map's closures against each other.
 """
 
 from pgti_gtsam.gate.batch import GatedGraph, gate_graph
 from pgti_gtsam.gate.decision import Change, ClosureDecision, Term
 from pgti_gtsam.gate.gate import Judgement, LoopClosureGate
-from pgti_gtsam.gate.isam2 import GatedISAM2, GatedUpdate
+from pgti_gtsam.gate.history import GatedUpdate, Review
+from pgti_gtsam.gate.isam2 import GatedISAM2
 from pgti_gtsam.gate.options import GateOptions
 
 __all__ = [
@@ -22,6 +23,7 @@ __all__ = [
     "GatedUpdate",
     "Judgement",
     "LoopClosureGate",
+    "Review",
     "Term",
     "gate_graph",
 ]

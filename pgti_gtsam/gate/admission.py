@@ -70,6 +70,14 @@ class Weight:
     rise: Change | None = None
     worst: int | None = None
 
+    def note(self, model: DriftModel, missed: Array, spread: Array, odds: float) -> None:
+        """What its middle member misses, (d,), the covariance of the prediction, (d, d), and the log odds of all."""
+        place = model.translation
+        self.drift = odds
+        self.missed_m = float(np.linalg.norm(missed[place]))
+        self.missed_rad = float(np.linalg.norm(np.delete(missed, np.arange(len(missed))[place])))
+        self.allowed_m = float(model.allowances_m(spread[None])[0])
+
     @property
     def log_odds(self) -> float:
         """All evidence together."""
@@ -148,7 +156,7 @@ class Admission:
         spreads = self._poorer * self.settled.covariances(ties.pairs[own])
         odds = log_odds(self.model, self.settled.residuals[own], spreads)
         for each, residual, spread, found in zip(single, self.settled.residuals[own], spreads, odds, strict=True):
-            self._note(each, residual, spread, float(found))
+            each.note(self.model, residual, spread, float(found))
 
         # those of several
         rest = [each for each in asked if len(each.ties) > 1]
@@ -195,14 +203,7 @@ class Admission:
             odds += AGREES * (len(own) - 1)
         middle, d = len(own) // 2, missed.shape[1]
         inner = slice(middle * d, (middle + 1) * d)
-        self._note(each, missed[middle], spread[inner, inner], odds)
-
-    def _note(self, each: Weight, missed: Array, spread: Array, odds: float) -> None:
-        place = self.model.translation
-        each.drift = odds
-        each.missed_m = float(np.linalg.norm(missed[place]))
-        each.missed_rad = float(np.linalg.norm(np.delete(missed, np.arange(len(missed))[place])))
-        each.allowed_m = float(self.settled.allowances_m(spread[None])[0])
+        each.note(self.model, missed[middle], spread[inner, inner], odds)
 
     def _take(self, chosen: Sequence[Weight]) -> bool:
         """Tie revisits, but for those that the free space speaks against, which are refused; whether there were any."""

@@ -53,6 +53,8 @@ class DriftModel:
         Coordinate of every keyframe along its track, as `places_on` has it.
     levelling : gtsam.Pose2 or gtsam.Pose3
         Turn Q that took the caller's poses T to the model's, T Q, whose z axis is the body's vertical.
+    tilt : float
+        Drift of the odometry's tilt in parts of that of the heading: see `upright`.
     """
 
     unit_m: float
@@ -61,6 +63,7 @@ class DriftModel:
     held: NDArray[np.bool_]
     along: Array
     levelling: Any
+    tilt: float
 
     def extended(self, offered: Sequence[tuple[int, int, Any]]) -> DriftModel:
         """The same map with more ties that measure poses, as closures numbered from 0: i < j, and j seen from i."""
@@ -88,6 +91,20 @@ class DriftModel:
     def variances(self, length: float, angle: float) -> Array:
         """Squares of a length in ρ and of an angle in rad, in GTSAM's order, (d,)."""
         return variances_of(length * self.unit_m, angle, is_planar=self.is_planar)
+
+    def allowances_m(self, covariances: Array) -> Array:
+        """Standard deviation, m, of relative positions along their least certain axis, (k,); infinite where unknown.
+
+        Parameters
+        ----------
+        covariances : (k, d, d) float
+            As `Settled.covariances` gives them.
+        """
+        own = self.translation
+        blocks = covariances[:, own, own]
+        unknown: Any = np.isnan(blocks).any(axis=(1, 2))
+        squares = np.linalg.eigvalsh(np.where(unknown[:, None, None], 0.0, blocks))[:, -1]
+        return np.where(unknown, np.inf, np.sqrt(np.maximum(squares, 0.0)))
 
     def bends(self, moved: Array) -> bool:
         """Whether corrections, (k, d), turn the map so far that linear predictions fail: extent θ² / 2."""
@@ -124,13 +141,14 @@ def drift_model(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, pose_gr
     poses = alike([keyframes.pose(int(key)) for key in pose_graph.keys])
     ties = ties_of(graph, pose_graph, poses, unit)
     levelling: Any = gtsam.Pose2()
+    tilt = 1.0
 
     # in space the z axis becomes the body's vertical
     if isinstance(poses[0], gtsam.Pose3):
         steps = ties.only(ties.drifts > 0)
         body = upright(*chained(len(poses), steps.pairs, steps.measured, steps.drifts))
         levelling = gtsam.Pose3(body.levelling, np.zeros(3))
-        ties = ties.levelled(body, unit)
+        ties, tilt = ties.levelled(body, unit), body.tilt
     return DriftModel(
         unit_m=unit,
         poses=tuple(pose.compose(levelling) for pose in poses),
@@ -138,6 +156,7 @@ def drift_model(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, pose_gr
         held=_held(graph, keyframes.index),
         along=places_on(pose_graph, track_of(pose_graph)),
         levelling=levelling,
+        tilt=tilt,
     )
 
 

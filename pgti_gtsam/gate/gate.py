@@ -11,11 +11,12 @@ from scipy.special import logit
 
 from pgti_gtsam.adapter import from_gtsam
 from pgti_gtsam.errors import InvalidGraphError, InvalidOptionError, MissingValueError
-from pgti_gtsam.factor_graphs import Closure, check_map, checked_closure, closure_graphs
+from pgti_gtsam.factor_graphs import Closure, check_map, checked_closure, closure_graphs, factors_of, keys_of
 from pgti_gtsam.gate import paper_rule
-from pgti_gtsam.gate.admission import Admission, Weight
+from pgti_gtsam.gate.admission import DOUBT, Admission, Weight
 from pgti_gtsam.gate.candidate_map import CandidateMaps
 from pgti_gtsam.gate.decision import ClosureDecision, Term, Verdict
+from pgti_gtsam.gate.grown_map import GrownMap
 from pgti_gtsam.gate.options import GateOptions
 from pgti_gtsam.gate.reference_map import ReferenceMap
 from pgti_gtsam.gate.settled import Settled
@@ -212,6 +213,34 @@ class LoopClosureGate:
                 decision = replace(decision, score=scores[k][0], global_score=scores[k][1])
             decisions.append(decision)
         return Judgement(decisions=tuple(decisions), settled=settled)
+
+    def foreseen(self, grown: GrownMap, closure: gtsam.NonlinearFactorGraph) -> ClosureDecision | None:
+        """Judge one closure by what the drift alone says, without a new optimum.
+
+        Parameters
+        ----------
+        grown : GrownMap
+        closure : gtsam.NonlinearFactorGraph
+            As `factor_graphs.checked_closure` has it.
+
+        Returns
+        -------
+        ClosureDecision or None
+            None where the verdict hangs on more: the closure is no single between factor, nothing predicts it, the free
+            space has to be asked, or another rule than the default decides.
+        """
+        tie = grown.offered(closure)
+        if tie is None or self.options.rule != "log_odds":
+            return None
+        model, weight = grown.reference.settled.model, Weight(ties=np.arange(1))
+        missed, spread = grown.predicted(tie)
+        weight.note(model, missed[0], spread, float(drift.log_odds(model, missed, spread[None])[0]))
+        passes = weight.drift >= max(DOUBT, self._needed)
+        if not passes and not weight.drift <= self._needed - contact_rise.log_odds(0.0):
+            return None
+        decision = self._decision(_terms(weight, grown.reference.pose_graph), [], is_tied=passes)
+        keys = sorted({key for factor in factors_of(closure) for key in keys_of(factor)})
+        return replace(decision, keys=tuple(keys))
 
     @property
     def _needed(self) -> float:

@@ -4,11 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import islice
+from typing import Any
 
 import gtsam
 
 from pgti_gtsam.adapter.values import read_keyframes
-from pgti_gtsam.errors import InvalidClosureError, InvalidOptionError, UnsolvableGraphError
+from pgti_gtsam.errors import (
+    InvalidClosureError,
+    InvalidOptionError,
+    MissingValueError,
+    UnsolvableGraphError,
+)
 from pgti_gtsam.factor_graphs import (
     Closure,
     check_map,
@@ -21,87 +28,24 @@ from pgti_gtsam.factor_graphs import (
 )
 from pgti_gtsam.gate.decision import ClosureDecision
 from pgti_gtsam.gate.gate import Judgement, LoopClosureGate
+from pgti_gtsam.gate.history import GatedUpdate, Offer, Review, made_anew
+from pgti_gtsam.gate.kept_map import Judged, KeptMap, News
 from pgti_gtsam.gate.revisits import revisits
 from pgti_gtsam.gate.ties import free_space_unit
 from pgti_gtsam.pose_graph import Radii
 from pgti_gtsam.track import track_of
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class GatedUpdate:
-    """What one update did.
-
-    Attributes
-    ----------
-    decisions : tuple of ClosureDecision
-        One per closure, in the order given.
-    closures : tuple of int
-        Number of each closure, for `GatedISAM2.retract`: closures are counted from 0 as they are offered.
-    slots : tuple of tuples of int
-        Slots of the factors of each closure in the smoother; none for a rejected one.
-    factor_slots : tuple of int
-        Slots of the other factors, empty ones left out.
-    """
-
-    decisions: tuple[ClosureDecision, ...]
-    closures: tuple[int, ...]
-    slots: tuple[tuple[int, ...], ...]
-    factor_slots: tuple[int, ...]
-
-    @property
-    def accepted(self) -> tuple[int, ...]:
-        """Numbers of the closures that were admitted."""
-        return tuple(number for number, slots in zip(self.closures, self.slots, strict=True) if slots)
-
-    @property
-    def rejected(self) -> tuple[int, ...]:
-        """Numbers of the closures that were kept out."""
-        return tuple(number for number, slots in zip(self.closures, self.slots, strict=True) if not slots)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Review:
-    """What the closures offered so far are worth by all that has been seen since.
-
-    Attributes
-    ----------
-    decisions : dict of int to ClosureDecision
-        By number, of every closure judged again.
-    condemned : tuple of int
-        Numbers of admitted closures that would now be rejected.
-    redeemed : tuple of int
-        Numbers of closures kept out that would now be accepted.
-    """
-
-    decisions: Mapping[int, ClosureDecision]
-    condemned: tuple[int, ...]
-    redeemed: tuple[int, ...]
-
-
-@dataclass(slots=True)
-class _Offer:
-    """A closure that was offered, and where its factors stand if it is in."""
-
-    closure: gtsam.NonlinearFactorGraph
-    slots: tuple[int, ...] = ()
-
-    def standing(self, graph: gtsam.NonlinearFactorGraph) -> list[int]:
-        """Slots of a smoother's graph that hold the closure's own factors still.
-
-        The factors themselves are compared and not what they measure: two robust noise models are never equal to GTSAM.
-        """
-        pairs = zip(self.slots, factors_of(self.closure), strict=False)
-        return [slot for slot, factor in pairs if slot < graph.size() and graph.at(slot) is factor]
-
-
 @dataclass(slots=True)
 class GatedISAM2:
     """A `gtsam.ISAM2` with the gate in front of its loop closures.
 
+    Everything else that a `gtsam.ISAM2` has (`calculateEstimatePose2`, `marginalCovariance`, …) is had here as well.
+
     Parameters
     ----------
-    smoother : gtsam.ISAM2, optional
-        One that the caller owns; a new one when left out. The caller may go on using it, as long as
+    smoother : gtsam.ISAM2 or gtsam.ISAM2Params, optional
+        One that the caller owns, or the parameters of a new one. The caller may go on using it, as long as
         it leaves the slots of admitted closures alone.
     gate : LoopClosureGate, optional
     radii : float or mapping from key to float, m, optional
@@ -110,22 +54,35 @@ class GatedISAM2:
     Notes
     -----
     A rejected closure never reaches the smoother, whose estimate is then bit for bit what it would be had
-    the closure not come. Whatever may fail is tried beforehand: the gate works on a copy of the map, and a
-    copy of the smoother rehearses the step. An exception leaves everything as before the call.
+    the closure not come. Bad input is refused before the smoother is touched. Where iSAM2 itself fails in the middle of
+    a step, it is made anew at `smoother`, with the factors from before in their slots.
+
+    An undecided closure waits, and is judged again with those that come later.
+
+    A map that grows by steps of odometry alone is read once and kept: see `GrownMap`. Decisions by a kept map hold no
+    scores; where the gate's options ask for them, the map is read anew each time.
     """
 
     smoother: gtsam.ISAM2 = field(default_factory=gtsam.ISAM2)
     gate: LoopClosureGate = field(default_factory=LoopClosureGate)
     radii: Radii | None = None
-    _offers: list[_Offer] = field(default_factory=list, init=False)
+    _offers: list[Offer] = field(default_factory=list, init=False)
+    _kept: KeptMap = field(default_factory=KeptMap, init=False)
 
     def __post_init__(self) -> None:
+        if isinstance(self.smoother, gtsam.ISAM2Params):
+            self.smoother = gtsam.ISAM2(self.smoother)
         if not isinstance(self.smoother, gtsam.ISAM2):
             raise InvalidOptionError(
                 f"expected a gtsam.ISAM2 as the smoother, got {self.smoother!r}; radii have a name: GatedISAM2(radii=…)"
             )
         if not isinstance(self.gate, LoopClosureGate):
             raise InvalidOptionError(f"expected a LoopClosureGate as the gate, got {self.gate!r}")
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("_"):
+            raise AttributeError(name)
+        return getattr(self.smoother, name)
 
     def update(
         self,
@@ -134,6 +91,7 @@ class GatedISAM2:
         closures: Sequence[Closure] = (),
         *,
         radii: Mapping[int, float] | None = None,
+        **options: Any,
     ) -> GatedUpdate:
         """Add factors and values as `gtsam.ISAM2.update` does, and of the closures those that pass together.
 
@@ -145,37 +103,62 @@ class GatedISAM2:
             Each holds the factors of one closure, which stand or fall together.
         radii : mapping from key to float, m, optional
             Radii of new keyframes.
+        **options
+            Other arguments of `gtsam.ISAM2.update`, by their names there.
 
         Raises
         ------
-        InvalidClosureError, UnsolvableGraphError, PgtiError
-            Those of `LoopClosureGate.evaluate`, and an update that iSAM2 refuses. Nothing has changed then.
+        InvalidClosureError, PgtiError
+            Those of `LoopClosureGate.evaluate`; a new factor or value that does not belong. Nothing has changed then.
+        UnsolvableGraphError
+            A step that iSAM2 fails in. The smoother was made anew, as it was before.
         """
-        # judge the closures on a copy
+        # what comes in
         values = gtsam.Values() if values is None else values
         factors = gtsam.NonlinearFactorGraph() if factors is None else factors
         check_map(factors, values)
         factors, offered = graph_of(factors_of(factors)), closure_graphs(closures)
+        self._check_news(factors, values)
         grown = self._grown_radii(radii)
-        group = self._judged(factors, values, offered, grown) if offered else None
-        accepted = [offered[k] for k in group.accepted] if group else []
+
+        # judge the closures; those that wait are judged again
+        waiting = {number: offer.closure for number, offer in enumerate(self._offers) if offer.is_waiting}
+        new = News(self.smoother, factors, values, grown)
+        judged = self._kept.judged(self.gate, new, waiting, offered) if offered else Judged()
+        reconsidered = {
+            number: decision for number, decision in judged.waiting.items() if decision.verdict != "undecided"
+        }
+        entering = [number for number, decision in reconsidered.items() if decision.accepted]
+        accepted = [closure for closure, decision in zip(offered, judged.decisions, strict=True) if decision.accepted]
 
         # one step of the smoother with those that passed
-        slots = self._step(joined(factors, *accepted), values, [])
-        own, rest = slots[: factors.size()], slots[factors.size() :]
+        graphs = [factors, *(self._offers[number].closure for number in entering), *accepted]
+        result = self._step(joined(*graphs), values, options)
+        slots = iter(result.getNewFactorsIndices())
+        factor_slots, *own = (tuple(islice(slots, graph.size())) for graph in graphs)
 
-        # remember where they stand
+        # remember where they stand, and the map
         first = len(self._offers)
-        self._offers += [_Offer(closure) for closure in offered]
-        for k in group.accepted if group else ():
-            self._offers[first + k].slots, rest = rest[: offered[k].size()], rest[offered[k].size() :]
+        for number, decision in reconsidered.items():
+            self._offers[number].is_waiting = not decision.accepted and decision.verdict == "undecided"
+        for number, where in zip(entering, own, strict=False):
+            self._offers[number].slots = where
+        rest = iter(own[len(entering) :])
+        for closure, decision in zip(offered, judged.decisions, strict=True):
+            where = next(rest) if decision.accepted else ()
+            self._offers.append(Offer(closure, where, decision.verdict == "undecided"))
         self.radii = grown
+        self._kept.remember(self.smoother, judged, factors, values)
+        if options:
+            self._kept.forget()
         numbers = range(first, len(self._offers))
         return GatedUpdate(
-            decisions=group.decisions if group else (),
+            decisions=judged.decisions,
             closures=tuple(numbers),
             slots=tuple(self._offers[number].slots for number in numbers),
-            factor_slots=own,
+            factor_slots=factor_slots,
+            changed=reconsidered,
+            result=result,
         )
 
     def estimate(self) -> gtsam.Values:
@@ -252,22 +235,21 @@ class GatedISAM2:
         """
         self._replace(review.condemned, review.redeemed)
 
-    def _judged(
-        self,
-        factors: gtsam.NonlinearFactorGraph,
-        values: gtsam.Values,
-        closures: Sequence[gtsam.NonlinearFactorGraph],
-        radii: Radii | None,
-    ) -> Judgement:
-        estimate = self.estimate()
-        known = next(filter(estimate.exists, values.keys()), None)
+    def _check_news(self, factors: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> None:
+        """Refuse what iSAM2 would stumble over."""
+        has, new = self.smoother.valueExists, set(values.keys())
+        known = next(filter(has, new), None)
         if known is not None:
             raise InvalidOptionError(
                 f"expected values of new variables only, got one for {gtsam.DefaultKeyFormatter(known)}, which the "
                 "smoother has; leave it out"
             )
-        estimate.insert(values)
-        return self.gate.evaluate_group(joined(self.smoother.getFactorsUnsafe(), factors), estimate, closures, radii)
+        missing = next((key for key in factors.keyVector() if key not in new and not has(key)), None)
+        if missing is not None:
+            raise MissingValueError(
+                f"expected a value for every key, got none for {gtsam.DefaultKeyFormatter(missing)}; "
+                "add it to the values or leave its factors out"
+            )
 
     def _grown_radii(self, radii: Mapping[int, float] | None) -> Radii | None:
         if radii is None:
@@ -276,15 +258,20 @@ class GatedISAM2:
             raise InvalidOptionError(f"expected no radii of single keyframes, since all have {self.radii} m, got some")
         return {**(self.radii or {}), **radii}
 
-    def _step(self, factors: gtsam.NonlinearFactorGraph, values: gtsam.Values, removed: list[int]) -> tuple[int, ...]:
-        """One step of the smoother, rehearsed on a copy; returns the new factors' slots."""
+    def _step(
+        self, factors: gtsam.NonlinearFactorGraph, values: gtsam.Values, options: Mapping[str, Any]
+    ) -> gtsam.ISAM2Result:
+        """One step of the smoother, which is made anew where the step fails."""
+        size = self.smoother.getFactorsUnsafe().size()
         try:
-            gtsam.ISAM2(self.smoother).update(factors, values, removed)
+            return self.smoother.update(factors, values, **options)
         except (RuntimeError, IndexError) as error:
+            self.smoother = made_anew(self.smoother, size, set(values.keys()))
+            self._kept.forget()
             raise UnsolvableGraphError(
-                f"expected an update that iSAM2 can take, got: {str(error).strip()}; nothing was changed"
+                f"expected an update that iSAM2 can take, got: {str(error).strip()}; the smoother was made anew with "
+                "the factors from before"
             ) from error
-        return tuple(self.smoother.update(factors, values, removed).getNewFactorsIndices())
 
     def _replace(self, leaving: Sequence[int], entering: Sequence[int]) -> None:
         for number in leaving:
@@ -294,11 +281,13 @@ class GatedISAM2:
         removed = [slot for number in leaving for slot in self._offers[number].slots]
         self._check_held(removed)
         added = [self._offers[number].closure for number in entering]
-        slots = self._step(joined(*added), gtsam.Values(), removed)
+        result = self._step(joined(*added), gtsam.Values(), {"removeFactorIndices": removed})
+        slots = iter(result.getNewFactorsIndices())
         for number in leaving:
             self._offers[number].slots = ()
         for number, closure in zip(entering, added, strict=True):
-            self._offers[number].slots, slots = slots[: closure.size()], slots[closure.size() :]
+            self._offers[number] = Offer(closure, tuple(islice(slots, closure.size())))
+        self._kept.forget()
 
     def _check_in(self, number: int) -> None:
         offer = self._offer(number)
@@ -316,7 +305,7 @@ class GatedISAM2:
         if self._offer(number).slots:
             raise InvalidClosureError(f"expected the number of a closure that is not in, got {number}, which is")
 
-    def _offer(self, number: int) -> _Offer:
+    def _offer(self, number: int) -> Offer:
         if not 0 <= number < len(self._offers):
             raise InvalidClosureError(f"expected the number of one of {len(self._offers)} closures, got {number}")
         return self._offers[number]

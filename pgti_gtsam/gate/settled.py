@@ -91,19 +91,16 @@ class Settled:
         pairs, d = self.model.ties.pairs[ties], len(self.model.spread)
         spread, residuals = self.joint_covariances([pairs])[0], self.residuals[ties]
 
-        # what they pull with, and by how much that moves their keyframes against each other
+        # what they pull with, and the step of all keyframes
         signs = np.where(self.active[ties], -1.0, 1.0)[:, None]
         tolerance = np.diag((signs * self.model.ties.variances[ties]).ravel())
         pulls = np.linalg.lstsq(tolerance + np.nan_to_num(spread), residuals.ravel())[0]
-        moved = (tolerance @ pulls).reshape(-1, d) - residuals
-        if np.isnan(spread).any() or self.model.bends(moved):
-            return settle(self.model, active, self)
-
-        # the step of all keyframes
         pull = np.zeros((len(self.poses), d))
         np.add.at(pull, pairs, -np.einsum("keab,ka->keb", self._jacobians(pairs), pulls.reshape(-1, d)))
-        steps = self.steps + solve(self.factor, pull)
-        poses = tuple(pose.retract(step) for pose, step in zip(self.poses, steps, strict=True))
+        steps = solve(self.factor, pull)
+        if np.isnan(spread).any() or self.model.bends(steps):
+            return settle(self.model, active, self)
+        poses = tuple(pose.retract(step) for pose, step in zip(self.poses, self.steps + steps, strict=True))
         return replace(self, active=active, poses=poses)
 
     def joint_covariances(self, groups: Sequence[NDArray[np.int64]]) -> list[Array]:
@@ -125,20 +122,6 @@ class Settled:
         """(−A, I) of every pair, (k, 2, d, d)."""
         carry = adjoints(self.poses, pairs)
         return np.stack([-carry, np.broadcast_to(np.eye(carry.shape[1]), carry.shape)], axis=1)
-
-    def allowances_m(self, covariances: Array) -> Array:
-        """Standard deviation, m, of relative positions along their least certain axis, (k,); infinite where unknown.
-
-        Parameters
-        ----------
-        covariances : (k, d, d) float
-            As `covariances` gives them.
-        """
-        own = self.model.translation
-        blocks = covariances[:, own, own]
-        unknown: Any = np.isnan(blocks).any(axis=(1, 2))
-        squares = np.linalg.eigvalsh(np.where(unknown[:, None, None], 0.0, blocks))[:, -1]
-        return np.where(unknown, np.inf, np.sqrt(np.maximum(squares, 0.0)))
 
 
 def _residuals(ties: Ties, poses: Sequence[Any], steps: Array) -> Array:

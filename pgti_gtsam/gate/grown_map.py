@@ -1,0 +1,234 @@
+"""A reference map and what came since: keyframes that odometry ties to its ends, and closures that passed.
+
+A decision does without a new optimum, and its cost does not grow with the map. Relative poses are linear in the errors
+of the reference map and of the steps since. With P the covariance of those that closures c since then and a candidate g
+measure, R the tolerances and e what the closures miss, the candidate misses e_g − P_gc (R + P_cc)⁻¹ e_c, with
+covariance P_gg − P_gc (R + P_cc)⁻¹ P_cg (Gaussian conditioning).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from pgti_gtsam.factor_graphs import BETWEEN, factors_of, keys_of, measured_from
+from pgti_gtsam.gate.reference_map import ReferenceMap
+from pgti_gtsam.gate.ties import Ties, closures_of, errors_of, step_variances
+from pgti_gtsam.spectral.block_inverse import products, solve
+
+MOST_CLOSURES = 64
+"""Closures since the reference map beyond which it is made anew: conditioning on so many takes some milliseconds."""
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Tail:
+    """Keyframes since the reference map, each tied to the one before by a step of odometry.
+
+    Attributes
+    ----------
+    poses : tuple of t gtsam.Pose2 or gtsam.Pose3
+        Chained from the reference map, in its axes.
+    roots : (t,) int
+        Keyframe of the reference map that each hangs on.
+    gathered : (t, d, d) float
+        Covariance of what the steps have gathered since the root, in the root's tangent space.
+    """
+
+    poses: tuple[Any, ...]
+    roots: NDArray[np.int64]
+    gathered: Array
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class GrownMap:
+    """A map as closures meet it in a running pipeline.
+
+    Attributes
+    ----------
+    reference : ReferenceMap
+        Of which the free radius, the vertical and the spread are those of the whole.
+    tail : Tail
+    places : dict from key to int
+        Of all keyframes: those of the reference map, then those of the tail.
+    ends : dict from robot to key
+        Latest keyframe of each robot, which is the first byte of its keys.
+    closures : Ties
+        That passed since.
+    """
+
+    reference: ReferenceMap
+    tail: Tail
+    places: Mapping[int, int]
+    ends: Mapping[int, int]
+    closures: Ties
+
+    @classmethod
+    def of(cls, reference: ReferenceMap) -> GrownMap:
+        """A reference map, and nothing since."""
+        model, keys = reference.settled.model, reference.pose_graph.keys.tolist()
+        d = len(model.spread)
+        return cls(
+            reference=reference,
+            tail=Tail(poses=(), roots=np.empty(0, dtype=np.int64), gathered=np.empty((0, d, d))),
+            places=dict(reference.keyframes.index),
+            ends={_robot(key): key for key in keys},
+            closures=closures_of([], model.unit_m, model.levelling, is_planar=model.is_planar),
+        )
+
+    @property
+    def is_planar(self) -> bool:
+        """Whether the poses are Pose2."""
+        return self.reference.settled.model.is_planar
+
+    @property
+    def is_worn(self) -> bool:
+        """Whether so much came since that the reference map is better made anew."""
+        n = len(self.reference.pose_graph)
+        return len(self.closures.pairs) > MOST_CLOSURES or len(self.tail.poses) > n
+
+    def grown(self, factors: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> GrownMap | None:
+        """The map with more keyframes.
+
+        None where it takes more than appending: each of them must be tied by one between factor, which measures a
+        pose of the map's type from the latest keyframe of its robot.
+        """
+        # the step to each new keyframe
+        model, new = self.reference.settled.model, set(values.keys())
+        steps: dict[int, tuple[int, Any]] = {}
+        for factor in factors_of(factors):
+            before, key = min(keys_of(factor)), max(keys_of(factor))
+            if not isinstance(factor, BETWEEN) or key not in new or key in steps:
+                return None
+            steps[key] = before, measured_from(factor, before)
+        if set(steps) != new:
+            return None
+
+        # where it leads, and what it gathers
+        n, turn = len(self.reference.pose_graph), model.levelling
+        places, ends, poses = dict(self.places), dict(self.ends), list(self.tail.poses)
+        roots, gathered = self.tail.roots.tolist(), list(self.tail.gathered)
+        for key in sorted(steps):
+            before, measured = steps[key]
+            if ends.get(_robot(key)) != before or isinstance(measured, gtsam.Pose2) is not model.is_planar:
+                return None
+            step, place = turn.inverse().compose(measured).compose(turn), places[before]
+            start = self._pose(place) if place < n else poses[place - n]
+            root, so_far = (place, 0.0) if place < n else (roots[place - n], gathered[place - n])
+            end = start.compose(step)
+            carry = self._pose(root).between(end).AdjointMap()
+            gathered.append(so_far + carry @ np.diag(self._variances(step)) @ carry.T)
+            roots.append(root)
+            poses.append(end)
+            ends[_robot(key)], places[key] = key, n + len(poses) - 1
+        tail = Tail(poses=tuple(poses), roots=np.array(roots, dtype=np.int64), gathered=np.array(gathered))
+        return replace(self, tail=tail, places=places, ends=ends) if new else self
+
+    def offered(self, closure: gtsam.NonlinearFactorGraph) -> Ties | None:
+        """A closure as one tie; None where it is none, or several."""
+        factors = factors_of(closure)
+        if len(factors) != 1 or not isinstance(factors[0], BETWEEN):
+            return None
+        first, second = sorted(keys_of(factors[0]))
+        if first == second or not {first, second} <= set(self.places):
+            return None
+        model = self.reference.settled.model
+        tie = self.places[first], self.places[second], measured_from(factors[0], first)
+        return closures_of([tie], model.unit_m, model.levelling, is_planar=model.is_planar)
+
+    def predicted(self, offered: Ties) -> tuple[Array, Array]:
+        """By how much some ties miss what the map predicts, (g, d), and its joint covariance, (g d, g d)."""
+        ties, d = _together(self.closures, offered), offered.variances.shape[1]
+        k, missed, spread = d * len(self.closures.pairs), self._missed(ties), self._covariance(ties.pairs)
+        known = spread[:k, :k] + np.diag(self.closures.variances.ravel())
+        gain = np.linalg.solve(known, spread[:k, k:]).T
+        return (missed[k:] - gain @ missed[:k]).reshape(-1, d), spread[k:, k:] - gain @ spread[:k, k:]
+
+    def tied(self, offered: Ties) -> GrownMap | None:
+        """The map with more ties that hold; None where they bend it beyond what a linear step tells."""
+        ties, settled = _together(self.closures, offered), self.reference.settled
+        known = self._covariance(ties.pairs) + np.diag(ties.variances.ravel())
+        if not np.isfinite(known).all():
+            return None
+
+        # the step that they take the reference map by
+        pulls = np.linalg.solve(known, self._missed(ties)).reshape(ties.variances.shape)
+        roots, carry = self._carried(ties.pairs)
+        pull = np.zeros_like(settled.steps)
+        np.add.at(pull, roots, -np.einsum("keab,ka->keb", carry, pulls))
+        return None if settled.model.bends(solve(settled.factor, pull)) else replace(self, closures=ties)
+
+    def tied_by(self, closure: gtsam.NonlinearFactorGraph) -> GrownMap | None:
+        """The map with a closure that passed; None where that takes more than a linear step."""
+        tie = self.offered(closure)
+        return None if tie is None else self.tied(tie)
+
+    def _missed(self, ties: Ties) -> Array:
+        """e of each tie where the reference map's optimum and the steps since put its keyframes, (k d,)."""
+        places, local = np.unique(ties.pairs, return_inverse=True)
+        poses = [self._pose(place) for place in places.tolist()]
+        return errors_of(poses, local.reshape(-1, 2), ties.measured).ravel()
+
+    def _pose(self, place: int) -> Any:
+        settled, n = self.reference.settled, len(self.reference.pose_graph)
+        return settled.poses[place].retract(settled.steps[place]) if place < n else self.tail.poses[place - n]
+
+    def _variances(self, step: Any) -> Array:
+        model = self.reference.settled.model
+        variances = step_variances(step, model.unit_m)
+        if not model.is_planar:
+            variances[:2] *= model.tilt**2
+        return variances
+
+    def _covariance(self, pairs: NDArray[np.int64]) -> Array:
+        """Joint covariance of the pose of j seen from i for all pairs, (k d, k d); NaN where no tie leads between."""
+        settled, n, (roots, carry) = self.reference.settled, len(self.reference.pose_graph), self._carried(pairs)
+        whole, d = products(settled.factor, roots, carry), carry.shape[-1]
+
+        # what the steps of the tails add: two ends on one tail share those up to the earlier of both
+        ends = np.flatnonzero(pairs.ravel() >= n)
+        root, place = roots.ravel()[ends], pairs.ravel()[ends] - n
+        shared = self.tail.gathered[np.minimum(place[:, None], place)] * (root[:, None] == root)[:, :, None, None]
+        carried = carry.reshape(-1, d, d)[ends]
+        added = np.einsum("aux,abxy,bvy->aubv", carried, shared, carried, optimize=True)
+        rows = (d * (ends // 2)[:, None] + np.arange(d)).ravel()
+        np.add.at(whole, (rows[:, None], rows), added.reshape(len(rows), len(rows)))
+
+        # parts that nothing joins
+        lost = np.repeat(np.diff(settled.component[roots], axis=1)[:, 0] != 0, d)
+        whole[lost], whole[:, lost] = np.nan, np.nan
+        return whole
+
+    def _carried(self, pairs: NDArray[np.int64]) -> tuple[NDArray[np.int64], Array]:
+        """Keyframes of the reference map that the ends of pairs hang on, (k, 2), and the Jacobian, (k, 2, d, d)."""
+        n = len(self.reference.pose_graph)
+        roots = np.append(np.arange(n), self.tail.roots)[pairs]
+        found = [
+            [
+                sign * self._pose(j).between(self._pose(root)).AdjointMap()
+                for sign, root in zip((-1.0, 1.0), own, strict=True)
+            ]
+            for j, own in zip(pairs[:, 1].tolist(), roots.tolist(), strict=True)
+        ]
+        d = len(self.reference.settled.model.spread)
+        return roots, np.array(found).reshape(-1, 2, d, d)
+
+
+def _robot(key: int) -> int:
+    return key >> 56
+
+
+def _together(one: Ties, other: Ties) -> Ties:
+    return Ties(
+        pairs=np.concatenate([one.pairs, other.pairs]),
+        measured=one.measured + other.measured,
+        variances=np.concatenate([one.variances, other.variances]),
+        slots=np.concatenate([one.slots, other.slots]),
+        drifts=np.concatenate([one.drifts, other.drifts]),
+    )

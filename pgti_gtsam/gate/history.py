@@ -1,0 +1,106 @@
+"""What a gated smoother did and remembers: its updates, and the closures that it was offered."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import gtsam
+
+from pgti_gtsam.factor_graphs import factors_of
+from pgti_gtsam.gate.decision import ClosureDecision
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class GatedUpdate:
+    """What one update did.
+
+    Attributes
+    ----------
+    decisions : tuple of ClosureDecision
+        One per closure, in the order given.
+    closures : tuple of int
+        Number of each closure, for `GatedISAM2.retract`: closures are counted from 0 as they are offered.
+    slots : tuple of tuples of int
+        Slots of the factors of each closure in the smoother; none for a rejected one.
+    factor_slots : tuple of int
+        Slots of the other factors, empty ones left out.
+    changed : dict of int to ClosureDecision
+        New verdicts on earlier closures that were undecided: by number, accepted or rejected by now.
+    result : gtsam.ISAM2Result
+        What iSAM2 itself says of the step.
+    """
+
+    decisions: tuple[ClosureDecision, ...]
+    closures: tuple[int, ...]
+    slots: tuple[tuple[int, ...], ...]
+    factor_slots: tuple[int, ...]
+    changed: Mapping[int, ClosureDecision]
+    result: gtsam.ISAM2Result
+
+    @property
+    def accepted(self) -> tuple[int, ...]:
+        """Numbers of the closures that were admitted."""
+        return tuple(number for number, slots in zip(self.closures, self.slots, strict=True) if slots)
+
+    @property
+    def rejected(self) -> tuple[int, ...]:
+        """Numbers of the closures that were kept out."""
+        return tuple(number for number, slots in zip(self.closures, self.slots, strict=True) if not slots)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Review:
+    """What the closures offered so far are worth by all that has been seen since.
+
+    Attributes
+    ----------
+    decisions : dict of int to ClosureDecision
+        By number, of every closure judged again.
+    condemned : tuple of int
+        Numbers of admitted closures that would now be rejected.
+    redeemed : tuple of int
+        Numbers of closures kept out that would now be accepted.
+    """
+
+    decisions: Mapping[int, ClosureDecision]
+    condemned: tuple[int, ...]
+    redeemed: tuple[int, ...]
+
+
+@dataclass(slots=True)
+class Offer:
+    """A closure that was offered, where its factors stand if it is in, and whether its verdict waits for more."""
+
+    closure: gtsam.NonlinearFactorGraph
+    slots: tuple[int, ...] = ()
+    is_waiting: bool = False
+
+    def standing(self, graph: gtsam.NonlinearFactorGraph) -> list[int]:
+        """Slots of a smoother's graph that hold the closure's own factors still.
+
+        The factors themselves are compared and not what they measure: two robust noise models are never equal to GTSAM.
+        """
+        pairs = zip(self.slots, factors_of(self.closure), strict=False)
+        return [slot for slot, factor in pairs if slot < graph.size() and graph.at(slot) is factor]
+
+
+def made_anew(smoother: gtsam.ISAM2, size: int, new: set[int]) -> gtsam.ISAM2:
+    """A smoother of the first factors of another one, in the same slots, and of its values but for the new ones."""
+    # its values, where it was linearised
+    values = gtsam.Values(smoother.getLinearizationPoint())
+    for key in new & set(values.keys()):
+        values.erase(key)
+
+    # its factors; something else stands in empty slots until these are emptied
+    graph, factors = smoother.getFactorsUnsafe(), gtsam.NonlinearFactorGraph()
+    slots = [graph.at(slot) for slot in range(size)]
+    empty = [slot for slot, factor in enumerate(slots) if factor is None]
+    any_factor = next(factor for factor in slots if factor is not None)
+    for factor in slots:
+        factors.push_back(any_factor if factor is None else factor)
+    found = gtsam.ISAM2(smoother.params())
+    found.update(factors, values)
+    if empty:
+        found.update(gtsam.NonlinearFactorGraph(), gtsam.Values(), removeFactorIndices=empty)
+    return found

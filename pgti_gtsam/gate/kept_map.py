@@ -1,0 +1,148 @@
+"""The map that a running pipeline keeps between closures, and the verdicts that it gives."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import gtsam
+
+from pgti_gtsam.factor_graphs import checked_closure, factors_of, joined, keys_of
+from pgti_gtsam.gate.decision import ClosureDecision
+from pgti_gtsam.gate.gate import LoopClosureGate
+from pgti_gtsam.gate.grown_map import GrownMap
+from pgti_gtsam.pose_graph import Radii
+
+
+class News(NamedTuple):
+    """A smoother before a step, what the step brings, and the radii of all keyframes."""
+
+    smoother: gtsam.ISAM2
+    factors: gtsam.NonlinearFactorGraph
+    values: gtsam.Values
+    radii: Radii | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Judged:
+    """Verdicts on new closures and, by number, on those that waited; the map with what passed, where it is known."""
+
+    decisions: tuple[ClosureDecision, ...] = ()
+    waiting: Mapping[int, ClosureDecision] = field(default_factory=dict)
+    map: GrownMap | None = None
+
+
+@dataclass(slots=True)
+class KeptMap:
+    """The map at the last closure and what came since; nothing where the next closure needs a new one.
+
+    An update without closures only notes what it brought.
+    """
+
+    map: GrownMap | None = None
+    news: list[tuple[gtsam.NonlinearFactorGraph, gtsam.Values]] = field(default_factory=list)
+    n_factors: tuple[int, int] = (0, 0)
+
+    def judged(
+        self,
+        gate: LoopClosureGate,
+        new: News,
+        waiting: Mapping[int, gtsam.NonlinearFactorGraph],
+        closures: Sequence[gtsam.NonlinearFactorGraph],
+    ) -> Judged:
+        """Verdicts by the kept map where that is enough, else by one made anew.
+
+        Parameters
+        ----------
+        gate : LoopClosureGate
+        new : News
+        waiting : mapping from int to gtsam.NonlinearFactorGraph
+            Closures that were undecided; they are judged again where the map is made anew.
+        closures : sequence of gtsam.NonlinearFactorGraph
+
+        Raises
+        ------
+        InvalidClosureError, PgtiError
+            Those of `LoopClosureGate.evaluate`.
+        """
+        grown = self._grown(new) if len(closures) == 1 and not gate.options.scores else None
+        checked = None if grown is None else _checked_between(grown, closures[0], new)
+        decision = None if grown is None or checked is None else gate.foreseen(grown, checked)
+        if grown is not None and checked is not None and decision is not None:
+            if not decision.accepted:
+                return Judged(decisions=(decision,), map=grown)
+            if not waiting:
+                return Judged(decisions=(decision,), map=grown.tied_by(checked))
+        return _judged_anew(gate, new, waiting, closures)
+
+    def remember(
+        self,
+        smoother: gtsam.ISAM2,
+        judged: Judged,
+        factors: gtsam.NonlinearFactorGraph,
+        values: gtsam.Values,
+    ) -> None:
+        """Keep the map after a step of the smoother."""
+        if judged.decisions:
+            self.map, self.news = judged.map, []
+        elif self.map is not None:
+            self.news.append((factors, values))
+        self.n_factors = _count(smoother)
+
+    def forget(self) -> None:
+        """Let the next closure make the map anew."""
+        self.map, self.news = None, []
+
+    def _grown(self, new: News) -> GrownMap | None:
+        """The map with all that came since; None where that takes more than appending."""
+        if self.map is None or self.map.is_worn or _count(new.smoother) != self.n_factors:
+            return None
+        grown: GrownMap | None = self.map
+        for factors, values in (*self.news, (new.factors, new.values)):
+            grown = None if grown is None else grown.grown(factors, values)
+        return grown
+
+
+def _judged_anew(
+    gate: LoopClosureGate,
+    new: News,
+    waiting: Mapping[int, gtsam.NonlinearFactorGraph],
+    closures: Sequence[gtsam.NonlinearFactorGraph],
+) -> Judged:
+    """Verdicts by the whole map as the smoother has it."""
+    estimate = new.smoother.calculateEstimate()
+    estimate.insert(new.values)
+    graph = joined(new.smoother.getFactorsUnsafe(), new.factors)
+    checked = [checked_closure(closure, estimate) for closure in (*waiting.values(), *closures)]
+    reference = gate.reference_map(graph, estimate, new.radii)
+    decisions = gate.judge(reference, checked).decisions
+
+    # the map with those that passed, as far as linear steps lead
+    grown: GrownMap | None = GrownMap.of(reference)
+    for closure, decision in zip(checked, decisions, strict=True):
+        if grown is not None and decision.accepted:
+            grown = grown.tied_by(closure)
+    verdicts = dict(zip(waiting, decisions, strict=False))
+    return Judged(decisions=decisions[len(waiting) :], waiting=verdicts, map=grown)
+
+
+def _checked_between(
+    grown: GrownMap, closure: gtsam.NonlinearFactorGraph, new: News
+) -> gtsam.NonlinearFactorGraph | None:
+    """A closure between keyframes of the kept map, checked at their values; None where it is none."""
+    keys = {key for factor in factors_of(closure) for key in keys_of(factor)}
+    if not all(key in grown.places for key in keys):
+        return None
+    kind, own = "Pose2" if grown.is_planar else "Pose3", gtsam.Values()
+    for key in keys:
+        is_new = new.values.exists(key)
+        at = getattr(new.values, f"at{kind}") if is_new else getattr(new.smoother, f"calculateEstimate{kind}")
+        own.insert(key, at(key))
+    return checked_closure(closure, own)
+
+
+def _count(smoother: gtsam.ISAM2) -> tuple[int, int]:
+    """Slots of a smoother, and factors in them: the caller may have added some, or taken some out."""
+    graph = smoother.getFactorsUnsafe()
+    return graph.size(), graph.nrFactors()

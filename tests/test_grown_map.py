@@ -1,0 +1,133 @@
+"""A map that grows by keyframes and closures, against the map made anew."""
+
+import gtsam
+import numpy as np
+import pytest
+from streets import RADIUS, between, block, driven, straight
+
+from pgti_gtsam.gate.gate import LoopClosureGate
+from pgti_gtsam.gate.grown_map import GrownMap
+
+LAP = 4 * 32  # steps around a block of 60 m
+GATE = LoopClosureGate()
+NOWHERE = gtsam.Pose2()
+
+
+def part(world, last, closures=()):
+    """The first keyframes of a world, with some closures."""
+    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    for k in range(last):
+        graph.push_back(world.graph.at(k))
+    for closure in closures:
+        graph.push_back(closure)
+    for k in range(last + 1):
+        pose = world.truth[0]
+        (values.insert)(k, world.values.atPose2(k) if isinstance(pose, gtsam.Pose2) else world.values.atPose3(k))
+    return graph, values
+
+
+def news(world, first, last):
+    """What brings the keyframes after `first` up to `last`."""
+    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    at = world.values.atPose2 if isinstance(world.truth[0], gtsam.Pose2) else world.values.atPose3
+    for k in range(first, last):
+        graph.push_back(world.graph.at(k))
+        values.insert(k + 1, at(k + 1))
+    return graph, values
+
+
+def in_space(steps):
+    tilted = [
+        gtsam.Pose3(gtsam.Rot3.Ypr(s.theta(), 0.0, 0.01 * (-1) ** k), [s.x(), s.y(), 0.0]) for k, s in enumerate(steps)
+    ]
+    mount = gtsam.Pose3(gtsam.Rot3(np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]])), np.zeros(3))
+    return [mount.inverse().compose(step).compose(mount) for step in tilted]
+
+
+STEPS = block(60, times=2) + straight(20)
+
+
+@pytest.fixture(scope="module", params=["plane", "space"])
+def world(request):
+    if request.param == "plane":
+        return driven(STEPS, bias=0.0005, noise=0.002)
+    return driven(in_space(STEPS), noise=0.001)
+
+
+def predicted(reference, closure):
+    """What the map made anew says."""
+    offered, [own] = reference.offered([closure])
+    return offered.residuals[own], offered.joint_covariances([offered.model.ties.pairs[own]])[0]
+
+
+@pytest.mark.parametrize("first", [LAP - 40, LAP + 20, LAP + 79])
+def test_a_grown_map_predicts_what_the_map_made_anew_does(world, first):
+    last = LAP + 80
+    passed = [world.closure(4, LAP + 4), world.closure(20, LAP + 21), world.closure(LAP + 30, 30)]
+    grown = GrownMap.of(GATE.reference_map(*part(world, first), RADIUS)).grown(*news(world, first, last))
+    whole = GATE.reference_map(*part(world, last, passed), RADIUS)
+    for closure in passed:
+        grown = grown.tied(grown.offered(closure))
+    for i, j in ((10, LAP + 10), (LAP + 60, 50), (3, LAP - 3), (LAP + 70, LAP + 75), (first, first + 1), (0, last)):
+        missed, spread = grown.predicted(grown.offered(world.closure(i, j)))
+        expected, covariance = predicted(whole, world.closure(i, j))
+        place = whole.settled.model.translation
+        for part_ in (np.arange(len(spread))[place], np.delete(np.arange(len(spread)), place)):
+            own, other = (np.linalg.eigvalsh(found[np.ix_(part_, part_)]) for found in (spread, covariance))
+            np.testing.assert_allclose(own, other, rtol=0.05)  # of both vertical axes' signs
+            length, other = (np.linalg.norm(found[0][part_]) for found in (missed, expected))
+            assert length == pytest.approx(other, abs=0.1 * np.sqrt(own.max()))
+
+
+@pytest.mark.parametrize(("i", "j", "measured"), [(8, LAP + 8, None), (20, LAP, "nowhere"), (LAP + 40, 100, "nowhere")])
+def test_what_is_foreseen_is_what_the_gate_decides(world, i, j, measured):
+    nowhere = type(world.truth[0])() if measured else None
+    closure, first, last = world.closure(i, j, nowhere), LAP - 10, LAP + 60
+    passed = world.closure(4, LAP + 4)
+    grown = GrownMap.of(GATE.reference_map(*part(world, first), RADIUS)).grown(*news(world, first, last))
+    grown = grown.tied(grown.offered(passed))
+    foreseen = GATE.foreseen(grown, closure)
+    graph, values = part(world, last, [passed])
+    assert foreseen is not None
+    assert foreseen.verdict == GATE.evaluate(graph, values, closure, RADIUS).verdict
+    assert foreseen.accepted is (measured is None)
+    assert foreseen.keys == tuple(sorted((i, j)))
+
+
+def test_doubt_is_left_to_the_free_space():
+    lap = driven(block(60) + straight(20), bias=0.003, noise=0.005)
+    grown = GrownMap.of(GATE.reference_map(lap.graph, lap.values, RADIUS))
+    assert GATE.foreseen(grown, lap.closure(4, LAP + 4)) is None
+    assert GATE.evaluate(lap.graph, lap.values, lap.closure(4, LAP + 4), RADIUS).accepted
+
+
+def test_what_is_more_than_appended_is_not_grown(world):
+    first = LAP
+    grown = GrownMap.of(GATE.reference_map(*part(world, first), RADIUS))
+    at = world.values.atPose2 if isinstance(world.truth[0], gtsam.Pose2) else world.values.atPose3
+    step, prior = (
+        world.graph.at(first),
+        gtsam.PriorFactorPose2 if isinstance(world.truth[0], gtsam.Pose2) else gtsam.PriorFactorPose3,
+    )
+    skip = between(first - 1, first + 1, world.truth[first - 1].between(world.truth[first + 1]))
+    unit = gtsam.noiseModel.Unit.Create(3 if isinstance(world.truth[0], gtsam.Pose2) else 6)
+    for factors, keys in (
+        ([], [first + 1]),
+        ([step, skip], [first + 1]),
+        ([skip], [first + 1]),
+        ([step, prior(first + 1, at(first + 1), unit)], [first + 1]),
+        ([world.closure(4, LAP).at(0)], []),
+    ):
+        graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+        for factor in factors:
+            graph.push_back(factor)
+        for key in keys:
+            values.insert(key, at(key))
+        assert grown.grown(graph, values) is None
+    assert grown.grown(*news(world, first, first + 1)).places[first + 1] == first + 1
+
+
+def test_a_closure_that_bends_the_map_asks_for_a_new_one(world):
+    grown = GrownMap.of(GATE.reference_map(*part(world, LAP + 60), RADIUS))
+    assert grown.tied(grown.offered(world.closure(8, LAP + 8))) is not None
+    assert grown.tied(grown.offered(world.closure(20, LAP, type(world.truth[0])()))) is None
