@@ -67,7 +67,7 @@ def test_a_grown_map_predicts_what_the_map_made_anew_does(world, first):
     grown = GrownMap.of(GATE.reference_map(*part(world, first), RADIUS)).grown(*news(world, first, last))
     whole = GATE.reference_map(*part(world, last, passed), RADIUS)
     for closure in passed:
-        grown = grown.tied(grown.offered(closure))
+        grown = grown.tied_by(closure)
     for i, j in ((10, LAP + 10), (LAP + 60, 50), (3, LAP - 3), (LAP + 70, LAP + 75), (first, first + 1), (0, last)):
         missed, spread = grown.predicted(grown.offered(world.closure(i, j)))
         expected, covariance = predicted(whole, world.closure(i, j))
@@ -85,10 +85,10 @@ def test_what_is_foreseen_is_what_the_gate_decides(world, i, j, measured):
     closure, first, last = world.closure(i, j, nowhere), LAP - 10, LAP + 60
     passed = world.closure(4, LAP + 4)
     grown = GrownMap.of(GATE.reference_map(*part(world, first), RADIUS)).grown(*news(world, first, last))
-    grown = grown.tied(grown.offered(passed))
-    foreseen = GATE.foreseen(grown, closure)
+    grown = grown.tied_by(passed)
+    foreseen, tied = GATE.foreseen(grown, closure)
     graph, values = part(world, last, [passed])
-    assert foreseen is not None
+    assert len(tied.closures.pairs) == 1 + foreseen.accepted
     assert foreseen.verdict == GATE.evaluate(graph, values, closure, RADIUS).verdict
     assert foreseen.accepted is (measured is None)
     assert foreseen.keys == tuple(sorted((i, j)))
@@ -129,5 +129,5 @@ def test_what_is_more_than_appended_is_not_grown(world):
 
 def test_a_closure_that_bends_the_map_asks_for_a_new_one(world):
     grown = GrownMap.of(GATE.reference_map(*part(world, LAP + 60), RADIUS))
-    assert grown.tied(grown.offered(world.closure(8, LAP + 8))) is not None
-    assert grown.tied(grown.offered(world.closure(20, LAP, type(world.truth[0])()))) is None
+    assert grown.tied_by(world.closure(8, LAP + 8)) is not None
+    assert grown.tied_by(world.closure(20, LAP, type(world.truth[0])())) is None

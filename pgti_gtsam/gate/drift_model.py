@@ -106,11 +106,22 @@ class DriftModel:
         squares = np.linalg.eigvalsh(np.where(unknown[:, None, None], 0.0, blocks))[:, -1]
         return np.where(unknown, np.inf, np.sqrt(np.maximum(squares, 0.0)))
 
+    def moves_little(self, moved: Array) -> bool:
+        """Whether corrections, (k, d), move keyframes, and what turns with them, by no more than linear steps may."""
+        place = np.arange(moved.shape[1])[self.translation]
+        turned, shifted = np.delete(moved, place, axis=1), moved[:, place]
+        reach = np.linalg.norm(shifted, axis=1) + self.extent_m * np.linalg.norm(turned, axis=1)
+        return bool(reach.max() <= CURVED * self.unit_m)
+
     def bends(self, moved: Array) -> bool:
         """Whether corrections, (k, d), turn the map so far that linear predictions fail: extent θ² / 2."""
         turned = np.delete(moved, np.arange(moved.shape[1])[self.translation], axis=1)
-        extent = float(np.sqrt(np.diag(self.spread)[self.translation].max()))
-        return bool(extent * np.square(turned).max() / 2 > CURVED * self.unit_m)
+        return bool(self.extent_m * np.square(turned).max() / 2 > CURVED * self.unit_m)
+
+    @property
+    def extent_m(self) -> float:
+        """How far keyframes lie apart along the map's longest axis."""
+        return float(np.sqrt(np.diag(self.spread)[self.translation].max()))
 
     @cached_property
     def spread(self) -> Array:

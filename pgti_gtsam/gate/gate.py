@@ -214,7 +214,9 @@ class LoopClosureGate:
             decisions.append(decision)
         return Judgement(decisions=tuple(decisions), settled=settled)
 
-    def foreseen(self, grown: GrownMap, closure: gtsam.NonlinearFactorGraph) -> ClosureDecision | None:
+    def foreseen(
+        self, grown: GrownMap, closure: gtsam.NonlinearFactorGraph
+    ) -> tuple[ClosureDecision, GrownMap | None] | None:
         """Judge one closure by what the drift alone says, without a new optimum.
 
         Parameters
@@ -225,9 +227,10 @@ class LoopClosureGate:
 
         Returns
         -------
-        ClosureDecision or None
-            None where the verdict hangs on more: the closure is no single between factor, nothing predicts it, the free
-            space has to be asked, or another rule than the default decides.
+        (ClosureDecision, GrownMap or None) or None
+            The verdict, and the map with the closure if it passed, None where that takes more than a linear step. None
+            for both where the verdict hangs on more: the closure is no single between factor, nothing predicts it, the
+            free space has to be asked, or another rule than the default decides.
         """
         tie = grown.offered(closure)
         if tie is None or self.options.rule != "log_odds":
@@ -240,7 +243,7 @@ class LoopClosureGate:
             return None
         decision = self._decision(_terms(weight, grown.reference.pose_graph), [], is_tied=passes)
         keys = sorted({key for factor in factors_of(closure) for key in keys_of(factor)})
-        return replace(decision, keys=tuple(keys))
+        return replace(decision, keys=tuple(keys)), grown.tied(tie, missed, spread) if passes else grown
 
     @property
     def _needed(self) -> float:

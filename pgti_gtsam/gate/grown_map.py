@@ -150,14 +150,25 @@ class GrownMap:
         gain = np.linalg.solve(known, spread[:k, k:]).T
         return (missed[k:] - gain @ missed[:k]).reshape(-1, d), spread[k:, k:] - gain @ spread[:k, k:]
 
-    def tied(self, offered: Ties) -> GrownMap | None:
-        """The map with more ties that hold; None where they bend it beyond what a linear step tells."""
-        ties, settled = _together(self.closures, offered), self.reference.settled
-        known = self._covariance(ties.pairs) + np.diag(ties.variances.ravel())
-        if not np.isfinite(known).all():
-            return None
+    def tied(self, offered: Ties, missed: Array, spread: Array) -> GrownMap | None:
+        """The map with more ties that hold; None where they bend it beyond what a linear step tells.
 
-        # the step that they take the reference map by
+        Parameters
+        ----------
+        offered : Ties
+        missed, spread
+            As `predicted` has them.
+        """
+        ties, settled = _together(self.closures, offered), self.reference.settled
+        tolerance = np.diag(offered.variances.ravel())
+        moved = tolerance @ np.linalg.solve(spread + tolerance, missed.ravel()) - missed.ravel()
+        if not np.isfinite(moved).all():
+            return None
+        if settled.model.moves_little(moved.reshape(missed.shape)):
+            return replace(self, closures=ties)
+
+        # the step that all of them take the reference map by
+        known = self._covariance(ties.pairs) + np.diag(ties.variances.ravel())
         pulls = np.linalg.solve(known, self._missed(ties)).reshape(ties.variances.shape)
         roots, carry = self._carried(ties.pairs)
         pull = np.zeros_like(settled.steps)
@@ -167,7 +178,7 @@ class GrownMap:
     def tied_by(self, closure: gtsam.NonlinearFactorGraph) -> GrownMap | None:
         """The map with a closure that passed; None where that takes more than a linear step."""
         tie = self.offered(closure)
-        return None if tie is None else self.tied(tie)
+        return None if tie is None else self.tied(tie, *self.predicted(tie))
 
     def _missed(self, ties: Ties) -> Array:
         """e of each tie where the reference map's optimum and the steps since put its keyframes, (k d,)."""

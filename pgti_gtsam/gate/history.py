@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import gtsam
 
@@ -31,11 +31,11 @@ class GatedUpdate:
         What iSAM2 itself says of the step.
     """
 
-    decisions: tuple[ClosureDecision, ...]
-    closures: tuple[int, ...]
-    slots: tuple[tuple[int, ...], ...]
+    decisions: tuple[ClosureDecision, ...] = ()
+    closures: tuple[int, ...] = ()
+    slots: tuple[tuple[int, ...], ...] = ()
     factor_slots: tuple[int, ...]
-    changed: Mapping[int, ClosureDecision]
+    changed: Mapping[int, ClosureDecision] = field(default_factory=dict)
     result: gtsam.ISAM2Result
 
     @property

@@ -29,7 +29,7 @@ from pgti_gtsam.factor_graphs import (
 from pgti_gtsam.gate.decision import ClosureDecision
 from pgti_gtsam.gate.gate import Judgement, LoopClosureGate
 from pgti_gtsam.gate.history import GatedUpdate, Offer, Review, made_anew
-from pgti_gtsam.gate.kept_map import Judged, KeptMap, News
+from pgti_gtsam.gate.kept_map import KeptMap, News
 from pgti_gtsam.gate.revisits import revisits
 from pgti_gtsam.gate.ties import free_space_unit
 from pgti_gtsam.pose_graph import Radii
@@ -117,47 +117,49 @@ class GatedISAM2:
         values = gtsam.Values() if values is None else values
         factors = gtsam.NonlinearFactorGraph() if factors is None else factors
         check_map(factors, values)
-        factors, offered = graph_of(factors_of(factors)), closure_graphs(closures)
+        if factors.nrFactors() < factors.size():
+            factors = graph_of(factors_of(factors))
         self._check_news(factors, values)
         grown = self._grown_radii(radii)
+        if not closures:
+            result = self._step(factors, values, options)
+            self.radii = grown
+            self._kept.note(factors, values)
+            if options:
+                self._kept.forget()
+            return GatedUpdate(factor_slots=tuple(result.getNewFactorsIndices()), result=result)
 
-        # judge the closures; those that wait are judged again
+        # judge the closures, and those that wait again
+        offered = closure_graphs(closures)
         waiting = {number: offer.closure for number, offer in enumerate(self._offers) if offer.is_waiting}
-        new = News(self.smoother, factors, values, grown)
-        judged = self._kept.judged(self.gate, new, waiting, offered) if offered else Judged()
-        reconsidered = {
-            number: decision for number, decision in judged.waiting.items() if decision.verdict != "undecided"
-        }
-        entering = [number for number, decision in reconsidered.items() if decision.accepted]
-        accepted = [closure for closure, decision in zip(offered, judged.decisions, strict=True) if decision.accepted]
+        judged = self._kept.judged(self.gate, News(self.smoother, factors, values, grown), waiting, offered)
+        changed = {number: decision for number, decision in judged.waiting.items() if decision.verdict != "undecided"}
 
         # one step of the smoother with those that passed
-        graphs = [factors, *(self._offers[number].closure for number in entering), *accepted]
+        numbers = range(len(self._offers), len(self._offers) + len(offered))
+        closure_of = waiting | dict(zip(numbers, offered, strict=True))
+        verdicts = changed | dict(zip(numbers, judged.decisions, strict=True))
+        passed = [number for number, decision in verdicts.items() if decision.accepted]
+        graphs = [factors, *(closure_of[number] for number in passed)]
         result = self._step(joined(*graphs), values, options)
         slots = iter(result.getNewFactorsIndices())
         factor_slots, *own = (tuple(islice(slots, graph.size())) for graph in graphs)
 
         # remember where they stand, and the map
-        first = len(self._offers)
-        for number, decision in reconsidered.items():
-            self._offers[number].is_waiting = not decision.accepted and decision.verdict == "undecided"
-        for number, where in zip(entering, own, strict=False):
-            self._offers[number].slots = where
-        rest = iter(own[len(entering) :])
-        for closure, decision in zip(offered, judged.decisions, strict=True):
-            where = next(rest) if decision.accepted else ()
-            self._offers.append(Offer(closure, where, decision.verdict == "undecided"))
+        slots_of = dict(zip(passed, own, strict=True))
+        self._offers += [Offer(closure) for closure in offered]
+        for number, decision in verdicts.items():
+            self._offers[number] = Offer(
+                closure_of[number], slots_of.get(number, ()), is_waiting=decision.verdict == "undecided"
+            )
         self.radii = grown
-        self._kept.remember(self.smoother, judged, factors, values)
-        if options:
-            self._kept.forget()
-        numbers = range(first, len(self._offers))
+        self._kept.keep(None if options else judged.map, self.smoother)
         return GatedUpdate(
             decisions=judged.decisions,
             closures=tuple(numbers),
-            slots=tuple(self._offers[number].slots for number in numbers),
+            slots=tuple(slots_of.get(number, ()) for number in numbers),
             factor_slots=factor_slots,
-            changed=reconsidered,
+            changed=changed,
             result=result,
         )
 

@@ -42,7 +42,7 @@ class KeptMap:
 
     map: GrownMap | None = None
     news: list[tuple[gtsam.NonlinearFactorGraph, gtsam.Values]] = field(default_factory=list)
-    n_factors: tuple[int, int] = (0, 0)
+    n_factors: int = 0
 
     def judged(
         self,
@@ -68,27 +68,21 @@ class KeptMap:
         """
         grown = self._grown(new) if len(closures) == 1 and not gate.options.scores else None
         checked = None if grown is None else _checked_between(grown, closures[0], new)
-        decision = None if grown is None or checked is None else gate.foreseen(grown, checked)
-        if grown is not None and checked is not None and decision is not None:
-            if not decision.accepted:
-                return Judged(decisions=(decision,), map=grown)
-            if not waiting:
-                return Judged(decisions=(decision,), map=grown.tied_by(checked))
+        foreseen = None if grown is None or checked is None else gate.foreseen(grown, checked)
+        if foreseen is not None and not (waiting and foreseen[0].accepted):
+            decision, tied = foreseen
+            return Judged(decisions=(decision,), map=tied)
         return _judged_anew(gate, new, waiting, closures)
 
-    def remember(
-        self,
-        smoother: gtsam.ISAM2,
-        judged: Judged,
-        factors: gtsam.NonlinearFactorGraph,
-        values: gtsam.Values,
-    ) -> None:
-        """Keep the map after a step of the smoother."""
-        if judged.decisions:
-            self.map, self.news = judged.map, []
-        elif self.map is not None:
+    def note(self, factors: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> None:
+        """What a step without closures brought."""
+        self.n_factors += factors.size()
+        if self.map is not None:
             self.news.append((factors, values))
-        self.n_factors = _count(smoother)
+
+    def keep(self, map_: GrownMap | None, smoother: gtsam.ISAM2) -> None:
+        """The map with all that a step with closures brought."""
+        self.map, self.news, self.n_factors = map_, [], smoother.getFactorsUnsafe().nrFactors()
 
     def forget(self) -> None:
         """Let the next closure make the map anew."""
@@ -96,7 +90,9 @@ class KeptMap:
 
     def _grown(self, new: News) -> GrownMap | None:
         """The map with all that came since; None where that takes more than appending."""
-        if self.map is None or self.map.is_worn or _count(new.smoother) != self.n_factors:
+        if self.map is None or self.map.is_worn:
+            return None
+        if new.smoother.getFactorsUnsafe().nrFactors() != self.n_factors:  # the caller changed it
             return None
         grown: GrownMap | None = self.map
         for factors, values in (*self.news, (new.factors, new.values)):
@@ -140,9 +136,3 @@ def _checked_between(
         at = getattr(new.values, f"at{kind}") if is_new else getattr(new.smoother, f"calculateEstimate{kind}")
         own.insert(key, at(key))
     return checked_closure(closure, own)
-
-
-def _count(smoother: gtsam.ISAM2) -> tuple[int, int]:
-    """Slots of a smoother, and factors in them: the caller may have added some, or taken some out."""
-    graph = smoother.getFactorsUnsafe()
-    return graph.size(), graph.nrFactors()

@@ -1,0 +1,129 @@
+"""A running pipeline: what the gate costs in front of iSAM2, update by update, beside iSAM2 alone.
+
+A robot drives laps with drifting odometry and offers a closure to the lap before every ten keyframes. Two smoothers get
+the same factors in turn, in one process: iSAM2 alone, which takes every closure, and the gated one. Times are processor
+times of single updates.
+"""
+
+from __future__ import annotations
+
+import gc
+import resource
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import gtsam
+import numpy as np
+
+import pgti_gtsam as pgti
+from scenarios.problem import between
+
+LAP = 200
+EVERY = 10
+RADIUS_M = 2.0
+SIZES = (250, 500, 1000, 2000, 5000, 10_000)
+WINDOW = 200  # keyframes before each size whose updates count
+
+Row = dict[str, Any]
+
+
+def run(largest: int, seed: int, tell: Callable[[str], None]) -> list[Row]:
+    """Drive up to a number of keyframes; a row for each of `SIZES` on the way."""
+    parameters = gtsam.ISAM2Params()
+    parameters.setFactorization("QR")
+    bare, gated = gtsam.ISAM2(parameters), pgti.GatedISAM2(parameters, radii=RADIUS_M)
+    rows: list[Row] = []
+    times: dict[str, list[float]] = {name: [] for name in ("bare", "gated", "bare closing", "gated closing")}
+    accepted, base = [], _megabytes()
+    gc.disable()
+    for k, (factors, values, closures) in enumerate(_drive(largest, seed)):
+        together = gtsam.NonlinearFactorGraph(factors)
+        for closure in closures:
+            together.push_back(closure)
+        kind = " closing" if closures else ""
+        times["bare" + kind].append(_seconds(lambda: bare.update(together, values)))  # noqa: B023
+        update = None
+
+        def gate() -> None:
+            nonlocal update
+            update = gated.update(factors, values, closures)  # noqa: B023
+
+        times["gated" + kind].append(_seconds(gate))
+        accepted += [decision.accepted for decision in update.decisions]
+        if k + 1 in SIZES:
+            rows.append(_row(k + 1, times, accepted, _megabytes() - base))
+            tell(line(rows[-1]))
+    gc.enable()
+    return rows
+
+
+def _row(n_keyframes: int, times: dict[str, list[float]], accepted: list[bool], megabytes: float) -> Row:
+    plain = [np.array(times[name][-WINDOW:]) for name in ("bare", "gated")]
+    closing = [np.array(times[name][-WINDOW // EVERY :]) for name in ("bare closing", "gated closing")]
+    return {
+        "n_keyframes": n_keyframes,
+        "bare_s": float(np.median(plain[0])),
+        "gated_s": float(np.median(plain[1])),
+        "ratio": float(np.median(plain[1]) / np.median(plain[0])),
+        "bare_closing_s": float(np.median(closing[0])) if len(closing[0]) else None,
+        "gated_closing_s": float(np.median(closing[1])) if len(closing[1]) else None,
+        "gated_closing_p99_s": float(np.quantile(closing[1], 0.99)) if len(closing[1]) else None,
+        "offered": len(accepted),
+        "accepted": int(sum(accepted)),
+        "megabytes": megabytes,
+    }
+
+
+def line(row: Row) -> str:
+    """A row in words."""
+    closing = (
+        ""
+        if row["gated_closing_s"] is None
+        else (
+            f", with a closure {row['bare_closing_s'] * 1e3:.2f} and {row['gated_closing_s'] * 1e3:.1f} ms "
+            f"(p99 {row['gated_closing_p99_s'] * 1e3:.0f} ms)"
+        )
+    )
+    return (
+        f"{row['n_keyframes']:6d} keyframes: {row['bare_s'] * 1e3:.3f} ms bare, {row['gated_s'] * 1e3:.3f} ms gated, "
+        f"ratio {row['ratio']:.2f}{closing}; {row['accepted']} of {row['offered']} closures; {row['megabytes']:.0f} MB"
+    )
+
+
+def _drive(n_keyframes: int, seed: int) -> Iterator[tuple[gtsam.NonlinearFactorGraph, gtsam.Values, list[Any]]]:
+    """What each keyframe brings: its odometry and first value, and every so often a closure to the lap before."""
+    random = np.random.default_rng(seed)
+    noise = gtsam.noiseModel.Diagonal.Sigmas(np.array([0.05, 0.05, 0.01]))
+    step, turn = gtsam.Pose2(1.0, 0.0, 0.0), gtsam.Pose2(1.0, 0.0, np.pi / 2)
+    truth, guess = gtsam.Pose2(), gtsam.Pose2()
+    poses = [truth]
+    for k in range(n_keyframes):
+        factors, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+        if k == 0:
+            factors.push_back(gtsam.PriorFactorPose2(0, truth, noise))
+        else:
+            motion = turn if k % (LAP // 4) == 0 else step
+            measured = motion.compose(gtsam.Pose2(*random.normal(0, [0.02, 0.02, 0.002])))
+            truth, guess = truth.compose(motion), guess.compose(measured)
+            poses.append(truth)
+            factors.push_back(between(k - 1, k, measured, noise))
+        values.insert(k, guess)
+        closures = []
+        if k >= LAP and k % EVERY == 0:
+            seen = poses[k - LAP].between(truth).compose(gtsam.Pose2(*random.normal(0, [0.05, 0.05, 0.01])))
+            closures = [between(k - LAP, k, seen, noise)]
+        yield factors, values, closures
+
+
+def _seconds(task: Callable[[], object]) -> float:
+    started = time.process_time()
+    task()
+    return time.process_time() - started
+
+
+def _megabytes() -> float:
+    """Resident memory of this process."""
+    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
+    return pages * resource.getpagesize() / 2**20
