@@ -15,7 +15,11 @@ from pathlib import Path
 from typing import Any
 
 import gtsam
+import matplotlib
 import numpy as np
+
+matplotlib.use("Agg")
+from matplotlib import pyplot as plt
 
 import pgti_gtsam as pgti
 from scenarios.problem import between
@@ -74,6 +78,24 @@ def _row(n_keyframes: int, times: dict[str, list[float]], accepted: list[bool], 
         "accepted": int(sum(accepted)),
         "megabytes": megabytes,
     }
+
+
+def draw(rows: list[Row], path: Path) -> None:
+    """Milliseconds of an update by the size of the map."""
+    figure, axes = plt.subplots(figsize=(7, 4.2), layout="constrained")
+    sizes = [row["n_keyframes"] for row in rows]
+    for name, label, style in (
+        ("bare_s", "iSAM2 alone", "C0--"),
+        ("gated_s", "gated", "C0-"),
+        ("bare_closing_s", "iSAM2 alone, with a closure", "C1--"),
+        ("gated_closing_s", "gated, with a closure", "C1-"),
+    ):
+        axes.loglog(sizes, [1e3 * row[name] for row in rows], style, marker="o", label=label)
+    axes.set(xlabel="keyframes", ylabel="processor time of an update, ms (median)")
+    axes.grid(which="both", alpha=0.3)
+    axes.legend()
+    figure.savefig(path, dpi=130)
+    plt.close(figure)
 
 
 def line(row: Row) -> str:

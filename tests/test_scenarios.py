@@ -9,7 +9,7 @@ import pytest
 from optional import needs_open3d
 
 from pgti_gtsam import datasets
-from scenarios import scans, speed
+from scenarios import pipeline, scans, speed
 from scenarios.speed import solvers
 
 ROOT = Path(__file__).parents[1]
@@ -126,3 +126,12 @@ def test_a_folder_that_is_not_there_is_named():
     done = scenarios("speed", "--data", "nowhere")
     assert done.returncode == 2
     assert "nowhere" in done.stderr
+
+
+def test_a_pipeline_is_timed_beside_isam2_alone(tmp_path):
+    rows = pipeline.run(500, 1000, tell=lambda line: None)
+    assert [row["n_keyframes"] for row in rows] == [250, 500]
+    assert rows[-1]["accepted"] == rows[-1]["offered"] == 30
+    assert all(row["bare_s"] > 0 and row["gated_s"] > 0 for row in rows)
+    pipeline.draw(rows, tmp_path / "pipeline.png")
+    assert (tmp_path / "pipeline.png").read_bytes().startswith(b"\x89PNG")
