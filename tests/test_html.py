@@ -15,7 +15,7 @@ from hand_made import as_gtsam
 
 from pgti_gtsam.diagnosis import diagnose
 from pgti_gtsam.errors import InvalidValueError
-from pgti_gtsam.report import html
+from pgti_gtsam.report import web
 from pgti_gtsam.report.document import audit_document
 from pgti_gtsam.report.html import page, write_page
 
@@ -122,8 +122,8 @@ def opened(document, folder, fragment=""):
 
 def run_after(monkeypatch, script):
     """Let every page run a script once it is ready, among its own: `page` puts its hash into the policy."""
-    asset = html._asset
-    monkeypatch.setattr(html, "_asset", lambda name: asset(name) + script * (name == "main.js"))
+    asset = web.asset
+    monkeypatch.setattr(web, "asset", lambda name: asset(name) + script * (name == "main.js"))
 
 
 def marked(dom):
@@ -305,7 +305,8 @@ def test_page_refers_to_nothing_outside(make):
 
 def test_page_carries_the_document_unchanged():
     document = hostile()
-    block = re.search(r'<script type="application/json" id="audit">(.*?)</script>', page(document), re.DOTALL).group(1)
+    script = r'<script type="application/json" id="document">(.*?)</script>'
+    block = re.search(script, page(document), re.DOTALL).group(1)
     assert json.loads(block) == document
     assert not set("<>&\u2028\u2029") & set(block)
 

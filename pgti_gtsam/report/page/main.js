@@ -1,17 +1,6 @@
-// Reading order: collect errors, fill the words, draw the plots, answer clicks.
-
-const errors = [];
-const report = (text) => {
-  errors.push(String(text));
-  document.body.dataset.errors = JSON.stringify(errors);
-};
-window.addEventListener("error", (event) => report(event.message));
-window.addEventListener("unhandledrejection", (event) => report(event.reason));
-document.addEventListener("securitypolicyviolation", (event) =>
-  report(`blocked: ${event.violatedDirective} ${event.blockedURI}`));
+// Reading order: fill the words, draw the plots, answer clicks.
 
 const state = { keyframe: worst, place: null, closure: null, colour: "score", logarithmic: false };
-const hasWebGL = Boolean(document.createElement("canvas").getContext("webgl"));
 
 // Choices. A keyframe leaves its place chosen, another keyframe does not.
 const atKeyframe = (keyframe) => ({
@@ -120,19 +109,16 @@ function chooseFromTable(choice) {
   return choose(choice, { zoom: true });
 }
 
-fillHeader();
+fillHead(audit, "an audit");
+fillVerdict(audit.verdict.level, audit.verdict.text);
 fillTiles();
 fillWarnings();
 fillPlaces((place) => chooseFromTable(atPlace(place)));
 fillClosures((closure) => chooseFromTable(atClosure(closure)));
 fillInput();
-fillOptions();
+fillOptions(audit.options);
 fillOptimality();
 describeMap();
-if (!hasWebGL) {
-  byId("map").textContent = "This browser offers no WebGL, which the map needs. All else on this page works.";
-  report("no WebGL");
-}
 
 Object.assign(state, linkedChoice() ?? (places.length ? atPlace(0) : atKeyframe(worst)));
 await drawAll();

@@ -4,32 +4,12 @@ const layers = { poseGraph: 0, fusion: 1, collisions: 2, keyframes: 3 };
 const layerEdges = [audit.edges.pose_graph, audit.edges.fusion, audit.edges.collisions];
 const layerSwitches = { poseGraph: "show-pose-graph", fusion: "show-fusion", collisions: "show-collisions" };
 
-// Above this many keyframes, markers are squares of two triangles: a round one takes some hundred.
-const mostDiscs = 3000;
-
 const hoverTexts = keyframes.label.map((label, i) =>
   [`<b>${plotText(label)}</b>`, `ζ ${short(keyframes.score[i])}, of collisions ${short(keyframes.collision[i])}`,
     `radius ${metres(keyframes.radius[i])}`, `at ${coordinates(keyframes.position[i])} m`].join("<br>"),
 );
 
-/** All edges as one broken line: (i, j, gap), (i, j, gap), ... */
-function brokenLine(edges) {
-  const line = { text: edges.flatMap(([i, j]) => [hoverTexts[i], hoverTexts[j], ""]) };
-  for (const axis of ["x", "y", "z"]) {
-    const values = keyframes[axis];
-    line[axis] = new Float64Array(3 * edges.length).fill(NaN);
-    edges.forEach(([i, j], k) => {
-      line[axis][3 * k] = values[i];
-      line[axis][3 * k + 1] = values[j];
-    });
-  }
-  return line;
-}
-
-/** Edges fade where they are many: 3000 are opaque, 20 000 nearly a veil. */
-const fading = (number) => Math.max(0.15, Math.min(1, 3000 / number) ** 0.7);
-
-const brokenLines = layerEdges.map((edges) => brokenLine(edges));
+const brokenLines = layerEdges.map((edges) => brokenLine(edges, (i) => hoverTexts[i]));
 
 function edgeTrace(layer, name, color, width, opacity) {
   const look = { line: { color, width }, opacity, visible: byId(layerSwitches[layer]).checked };
@@ -47,12 +27,6 @@ const colourings = {
   collisions: { title: "ζ of<br>collisions", values: keyframes.collision, ...scoreLevels(keyframes.collision) },
   place: { values: null, top: 1, level: Float64Array.from(placeOf, (k) => (k < 0 ? 0 : 1)) },
 };
-
-/** Markers are small where keyframes are many, and grow as the eye comes nearer than for the whole map. */
-function markerBase(camera) {
-  const nearness = 2 ** Math.max(0, Math.round(Math.log2(eyeDistance(wholeView()) / eyeDistance(camera))));
-  return Math.min(6, nearness * Math.max(2.5, 6 - keyframes.n / 1000));
-}
 
 /** A score enlarges its marker. */
 function markerSizes() {
@@ -85,30 +59,10 @@ function keyframeTrace() {
   };
 }
 
-function axis(name, k) {
-  const colors = theme();
-  return {
-    title: { text: `${name} (m)`, font: { color: colors.muted, size: 12 } }, range: frame.range[k], autorange: false,
-    visible: !(planar && name === "z"), showspikes: false, showbackground: false, zeroline: false,
-    gridcolor: colors.grid, linecolor: colors.grid, tickfont: { color: colors.muted, size: 10 },
-    nticks: Math.max(2, Math.round(8 * frame.ratio[k])),
-  };
-}
-
-const mapAspect = () => byId("map").clientWidth / byId("map").clientHeight;
-const wholeView = () => cameraOn([...keyframes.position, ...(planar ? [] : frame.corners)], mapAspect());
-
-let drawnBase = null; // of the markers, for the camera that they were last drawn for
-
 /** Draw the map, as seen so far or, at first, as the choice asks for. */
 function drawMap() {
   const colors = theme();
   const camera = byId("map").layout?.scene?.camera ?? chosenView();
-  const scene = {
-    xaxis: axis("x", 0), yaxis: axis("y", 1), zaxis: axis("z", 2),
-    aspectmode: "manual", aspectratio: xyz(frame.ratio), camera,
-    dragmode: planar ? "pan" : viewpoint.up[2] === 1 ? "turntable" : "orbit",
-  };
   drawnBase = markerBase(camera);
   const traces = [
     edgeTrace("poseGraph", "pose graph", colors.blue, 2, fading(audit.edges.pose_graph.length)),
@@ -116,24 +70,8 @@ function drawMap() {
     edgeTrace("collisions", "collisions", colors.red, audit.edges.collisions.length > 2000 ? 3 : 5, 1),
     keyframeTrace(),
   ];
-  const layout = { ...plainLayout(), margin: { l: 0, r: 0, t: 0, b: 0 }, scene, uirevision: "map" };
-  return Plotly.react("map", traces, layout, mapConfig);
+  return Plotly.react("map", traces, spaceLayout(camera), mapConfig);
 }
-
-/** Fit the markers to the camera, once it has come to rest: plotly draws the whole map anew. */
-const fitMarkers = (() => {
-  let timer = null;
-  const fit = () => {
-    const base = markerBase(byId("map").layout.scene.camera);
-    if (base === drawnBase) return;
-    drawnBase = base;
-    Plotly.restyle("map", { "marker.size": [markerSizes()] }, [layers.keyframes]);
-  };
-  return () => {
-    clearTimeout(timer);
-    timer = setTimeout(fit, 200);
-  };
-})();
 
 /** The keyframe under a click: an edge answers for the keyframe at the end that was hit. */
 function clickedKeyframe({ curveNumber, pointNumber }) {
@@ -145,9 +83,7 @@ function clickedKeyframe({ curveNumber, pointNumber }) {
 function chosenView() {
   const ends = chosenEnds();
   if (ends === null) return keyframeView(state.keyframe);
-  const seen = ends.map((i) => keyframes.position[i]);
-  const middle = [0, 1, 2].map((k) => middleOf(seen.map((p) => p[k])));
-  return cameraOn([...seen, ...around(middle, frame.scale / 20)], mapAspect());
+  return viewOf(ends);
 }
 
 function chosenEnds() {
@@ -164,7 +100,6 @@ function keyframeView(keyframe) {
   return cameraOn(around(centre, reach), mapAspect());
 }
 
-const look = (camera) => Plotly.relayout("map", { "scene.camera": camera });
 const setLayer = (layer, visible) => Plotly.restyle("map", { visible }, [layers[layer]]);
 
 function describeMap() {

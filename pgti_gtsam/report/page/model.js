@@ -1,6 +1,6 @@
 // The audit document as typed arrays. Nothing here touches the page.
 
-const audit = JSON.parse(byId("audit").textContent);
+const audit = JSON.parse(byId("document").textContent);
 const { places, closures } = audit;
 
 const keyframes = (() => {

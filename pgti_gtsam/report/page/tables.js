@@ -2,18 +2,6 @@
 
 const mostClosures = 200; // rows of their table
 
-function fillHeader() {
-  const { input, verdict, pgti_gtsam_version: version } = audit;
-  byId("name").textContent = input.name;
-  byId("origin").textContent = `${input.format} · pgti-gtsam ${version}`;
-  byId("verdict").dataset.level = verdict.level;
-  byId("verdict-level").textContent = verdict.level;
-  byId("verdict-text").textContent = verdict.text;
-  byId("footer").textContent =
-    `Drawn from an audit of pgti-gtsam ${version}, document version ${audit.schema_version}. ` +
-    "This page holds all its data and loads nothing.";
-}
-
 function fillTiles() {
   const s = audit.summary;
   const parts = s.n_components_pose_graph;
@@ -86,8 +74,6 @@ const gravity = new Map(Object.entries({
   "missed closure": "incomplete", "untied second pass": "incomplete", "tracking gap": "incomplete",
 }));
 
-const link = (text) => element("button", { type: "button", className: "link" }, text);
-
 /** The places, gravest first; `choose` is called with the place's number in the list. */
 function fillPlaces(choose) {
   const rows = places.map((p, k) => {
@@ -122,7 +108,6 @@ function describePlace(k) {
     k === null ? "Choose a row to see the place on the map." : said();
 }
 
-const rough = (value) => short(Number(value.toPrecision(2)));
 const lengthOf = (value) => (value === infinity ? "unbounded" : `${rough(value)} m`);
 const closureLabel = ({ keyframes: [i, j] }) => `${keyframes.label[i]} – ${keyframes.label[j]}`;
 const isJudged = (closure) => closure.probability !== null;
@@ -155,17 +140,6 @@ function describeClosure(k) {
     `${closureLabel(closures[k])}: ${closures[k].sentence}`;
 }
 
-/** Mark one row of a table, or none, and scroll the table, not the page, until the row is seen. */
-function markRow(id, k) {
-  byId(id).querySelector("tr.chosen")?.classList.remove("chosen");
-  const row = k === null ? null : byId(id).querySelector("tbody").rows[k];
-  if (!row) return;
-  row.classList.add("chosen");
-  const [box, seen] = [byId(id), row].map((node) => node.getBoundingClientRect());
-  const head = byId(id).querySelector("thead").offsetHeight;
-  if (seen.top < box.top + head || seen.bottom > box.bottom) byId(id).scrollTop += seen.top - box.top - head;
-}
-
 function countTable(caption, counts, className = "") {
   const rows = Object.entries(counts).map(([name, n]) => [name, count(n)]);
   return table({ caption, rows, heads: 1, className: `counts ${className}` });
@@ -192,16 +166,9 @@ function adaptationTables(adaptation) {
 function fillInput() {
   const { adaptation, input } = audit;
   const direct = element("p", { className: "hint" }, "The pose graph was given directly, not read from factors.");
-  const notes = input.notes.map((note) => element("li", {}, note));
   byId("input").replaceChildren(
     ...(adaptation ? adaptationTables(adaptation) : [direct]),
-    ...(notes.length ? [element("h3", {}, "Notes"), element("ul", {}, ...notes)] : []));
-}
-
-function fillOptions() {
-  const words = (value) => (value == null ? "not given" : Array.isArray(value) ? value.join(", ") : String(value));
-  describe(byId("options"),
-    Object.entries(audit.options).map(([name, value]) => [name.replaceAll("_", " "), words(value)]));
+    ...notesOf(input));
 }
 
 function optimalityTable(caption, { pose_graph, merged_graph, change }) {

@@ -1,4 +1,4 @@
-// Numbers as words, and words as DOM nodes. Text from the document goes through textContent (element) or plotText.
+// Numbers as words, and words as DOM nodes: what all pages share. Text from the document goes through textContent (element) or plotText.
 
 const infinity = "infinite";
 
@@ -14,6 +14,9 @@ function short(value) {
   if (size !== 0 && (size < 1e-3 || size >= 1e5)) return number.toExponential(1);
   return size >= 100 ? number.toFixed(0) : String(Number(number.toPrecision(3)));
 }
+
+/** Two significant digits. */
+const rough = (value) => short(Number(value.toPrecision(2)));
 
 /** A count with thousands separated. */
 const count = (value) => Number(value).toLocaleString("en-US");
@@ -65,4 +68,44 @@ function describe(list, pairs) {
   list.replaceChildren(
     ...pairs.map(([term, text]) => element("div", {}, element("dt", {}, term), element("dd", {}, String(text)))),
   );
+}
+
+const link = (text) => element("button", { type: "button", className: "link" }, text);
+
+/** Mark one row of a table, or none, and scroll the table, not the page, until the row is seen. */
+function markRow(id, k) {
+  byId(id).querySelector("tr.chosen")?.classList.remove("chosen");
+  const row = k === null ? null : byId(id).querySelector("tbody").rows[k];
+  if (!row) return;
+  row.classList.add("chosen");
+  const [box, seen] = [byId(id), row].map((node) => node.getBoundingClientRect());
+  const head = byId(id).querySelector("thead").offsetHeight;
+  if (seen.top < box.top + head || seen.bottom > box.bottom) byId(id).scrollTop += seen.top - box.top - head;
+}
+
+/** Name of the map, and where it came from. */
+function fillHead({ input, pgti_gtsam_version: version, schema_version: drawn }, kind) {
+  byId("name").textContent = input.name;
+  byId("origin").textContent = `${input.format} · pgti-gtsam ${version}`;
+  byId("footer").textContent =
+    `Drawn from ${kind} of pgti-gtsam ${version}, document version ${drawn}. ` +
+    "This page holds all its data and loads nothing.";
+}
+
+/** The verdict in the head of a page: a level, which sets the colour, and a sentence. */
+function fillVerdict(level, text) {
+  byId("verdict").dataset.level = level;
+  byId("verdict-level").textContent = level;
+  byId("verdict-text").textContent = text;
+}
+
+/** A heading and a list of what a reader should know of the input, or nothing. */
+const notesOf = ({ notes }) => (notes.length
+  ? [element("h3", {}, "Notes"), element("ul", {}, ...notes.map((note) => element("li", {}, note)))] : []);
+
+/** What was asked for, in words. */
+function fillOptions(options) {
+  const words = (value) => (value == null ? "not given" : Array.isArray(value) ? value.join(", ") : String(value));
+  describe(byId("options"),
+    Object.entries(options).map(([name, value]) => [name.replaceAll("_", " "), words(value)]));
 }

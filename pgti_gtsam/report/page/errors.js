@@ -1,0 +1,18 @@
+// What goes wrong on a page, for whoever tests the page: in an attribute of its body.
+
+const errors = [];
+const report = (text) => {
+  errors.push(String(text));
+  document.body.dataset.errors = JSON.stringify(errors);
+};
+window.addEventListener("error", (event) => report(event.message));
+window.addEventListener("unhandledrejection", (event) => report(event.reason));
+document.addEventListener("securitypolicyviolation", (event) =>
+  report(`blocked: ${event.violatedDirective} ${event.blockedURI}`));
+
+const hasWebGL = Boolean(document.createElement("canvas").getContext("webgl"));
+if (!hasWebGL) {
+  byId("map").textContent = "This browser offers no WebGL, which the map needs. All else on this page works.";
+  report("no WebGL");
+}
+
