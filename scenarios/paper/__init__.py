@@ -1,0 +1,57 @@
+"""The paper whole: its curves (6.2), Table 4 and Figure 6 (6.3), its limits (7) and active SLAM (8), from scratch."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from scenarios.paper import curves, growth, table, texture
+from scenarios.paper.figure import draw_growth, draw_maps
+
+FALSE_LOOP_SEED = 0
+
+
+def run(data: Path | None, folder: Path, tell: Callable[[str], None]) -> dict[str, Any]:
+    """Everything but the benchmark of section 8; figures and `paper.json` go to the folder."""
+    folder.mkdir(parents=True, exist_ok=True)
+    tell("section 6.2: curves")
+    found: dict[str, Any] = {"curves": curves.run(folder)}
+    tell("section 6.3: Table 4")
+    found["table_4"] = table.run(data, tell)
+    found["false_loops"] = table.false_loops(FALSE_LOOP_SEED)
+    tell("section 7: growth, texture")
+    found["growth"] = growth.run(tell)
+    found["texture"] = texture.run()
+
+    # written first, drawn from what was written
+    path = folder / "paper.json"
+    path.write_text(json.dumps(found, ensure_ascii=False) + "\n", encoding="utf-8")
+    written = json.loads(path.read_text(encoding="utf-8"))
+    draw_maps(written["table_4"], folder / "figure_6.png")
+    draw_growth(written["growth"], folder / "growth.png")
+    return found
+
+
+def report(found: dict[str, Any]) -> list[str]:
+    """All tables, as RESULTS.md has them."""
+    false = found["false_loops"]
+    low, middle, high = false["quartiles"]
+    bursts = [f"{name.replace('_', ' ')} {found['curves'][name]['bursts']}" for name in ("figure_4", "figure_5")]
+    return [
+        f"edges are inserted from keyframe to keyframe: {', '.join(bursts)}\n",
+        *curves.markdown(found["curves"]),
+        "\nwhat Z̄, Λ and the stable score keep between the two bursts of Fig. 5\n",
+        *curves.blur_markdown(found["curves"]),
+        "\nTable 4, (Λ_loc, Λ_glob)\n",
+        *table.markdown(found["table_4"]),
+        f"\n{false['n']} drawn false loops, sized as row (g): Λ quartiles {low:.2f}, {middle:.2f}, {high:.2f}, largest "
+        f"{false['largest']:.2f}, above 1 in {false['above_1']}, global part the larger in {false['global_dominates']}",
+        "\nΛ by the time grid (the merged graph's for both, or each graph's own) and the norm\n",
+        *table.readings_markdown(found["table_4"]),
+        "\nwhat a grown map keeps of each score\n",
+        *growth.markdown(found["growth"]),
+        "\nplaces without texture\n",
+        *texture.markdown(found["texture"]),
+    ]

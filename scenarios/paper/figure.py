@@ -1,0 +1,59 @@
+"""Figure 6: the counterparts of Table 4, keyframes coloured by ζ; and how scores fade as maps grow."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+
+matplotlib.use("Agg")
+import numpy as np
+from matplotlib import pyplot as plt
+from matplotlib.collections import LineCollection
+
+
+def draw_maps(found: Sequence[dict[str, Any]], path: Path) -> None:
+    """One map a row of the table, brighter where ζ is larger, inserted edges in red."""
+    columns = 4
+    height = -(-len(found) // columns)
+    figure, axes = plt.subplots(height, columns, figsize=(14, 3.3 * height), layout="constrained", squeeze=False)
+    for axis, row in zip(axes.flat, found, strict=False):
+        positions, scores = np.array(row["map"]["positions"]), np.array(row["map"]["scores"])
+        pairs = np.array(row["map"]["inserted"], dtype=int)
+        axis.add_collection(LineCollection(list(positions[pairs]), colors="#d7263d", linewidths=0.8, zorder=3))
+        order = np.argsort(scores)
+        dots = axis.scatter(*positions[order].T, c=scores[order], s=6, cmap="viridis", vmin=0, zorder=2)
+        figure.colorbar(dots, ax=axis, shrink=0.7)
+        axis.set_title(
+            f"{row['name']}: Λ {row['score']:.2f} (paper {row['paper']['score']:.2f})\n{row['what']}", fontsize=8
+        )
+        axis.set_aspect("equal", adjustable="datalim")
+        axis.tick_params(labelsize=6)
+    for axis in axes.flat[len(found) :]:
+        axis.axis("off")
+    figure.savefig(path, dpi=90)
+    plt.close(figure)
+
+
+def draw_growth(found: Sequence[dict[str, Any]], path: Path) -> None:
+    """Each score, relative to the small map's, against the map's size: away from the defect, and at its own end."""
+    names = {"score": "Λ", "stable_score": "stable score", "open_stable_score": "stable score, open ends"}
+    figure, axes = plt.subplots(2, len(names), figsize=(11, 5.6), layout="constrained", sharex=True, sharey=True)
+    for line, end, where in zip(axes, ("far", "near"), ("away from the defect", "at the defect's end"), strict=True):
+        for axis, (name, title) in zip(line, names.items(), strict=True):
+            for defect in dict.fromkeys(row["defect"] for row in found):
+                own = [row for row in found if row["defect"] == defect and row["end"] in (end, "none")]
+                kept = [row[name] / own[0][name] for row in own]
+                axis.plot([row["growth"] for row in own], kept, marker="o", ms=3, lw=1, label=defect)
+            axis.axhline(1, color="grey", lw=0.6, ls=":")
+            axis.set_xscale("log")
+            axis.set_title(f"{title}, grown {where}", fontsize=9)
+            axis.set_xticks([1, 4, 16, 64], ["1", "4", "16", "64"])
+            axis.minorticks_off()
+    axes[0, 0].legend(fontsize=7)
+    axes[0, 0].set(ylim=(0, 1.6), ylabel="part of the small map's")
+    axes[1, 0].set(xlabel="map, times the small one", ylabel="part of the small map's")
+    figure.savefig(path, dpi=90)
+    plt.close(figure)

@@ -1,0 +1,112 @@
+"""The paper's figures and tables from scratch: sizes are those asked for, and scores behave as the text says."""
+
+import numpy as np
+import pytest
+
+import pgti_gtsam as pgti
+from scenarios import paper
+from scenarios.paper import growth, revisits, rows, table, texture, ways
+
+
+def test_keyframes_lie_evenly_along_the_way():
+    positions = ways.way([(0, 0), (10, 0), (10, 10)], 41)
+    steps = np.linalg.norm(np.diff(positions, axis=0), axis=1)
+    assert positions.shape == (41, 2)
+    assert steps.max() < 1.01 * np.median(steps)
+    assert steps.min() > 0.6 * np.median(steps)  # corners are cut
+
+
+def test_scale_drift_shrinks_steps_and_turns_none():
+    true = ways.way([(0, 0), (1000, 0), (1000, 1000)], 201)
+    steps, drifted = np.diff(true, axis=0), np.diff(ways.scale_drift(true, 0.1), axis=0)
+    ratios = np.linalg.norm(drifted, axis=1) / np.linalg.norm(steps, axis=1)
+    assert np.allclose(drifted, steps * ratios[:, None])
+    assert np.allclose(ratios, np.exp(-0.1 * ways.travelled_m(true)[1:] / 1000))
+
+
+@pytest.mark.parametrize("count", [9, 20, 45])
+def test_so_many_pairs_the_nearest_first(count):
+    pairs = ways.covisible(10, count)
+    assert len(np.unique(pairs, axis=0)) == count
+    gaps = pairs[:, 1] - pairs[:, 0]
+    assert (gaps == 1).sum() == 9
+    assert (gaps < gaps.max()).sum() == sum(10 - gap for gap in range(1, gaps.max()))
+
+
+def test_the_radius_is_the_smallest_that_inserts_so_many():
+    positions = revisits.winding(0, 80)
+    edges = ways.covisible(80, 160)
+    radius = ways.radius_inserting(positions, edges, 15)
+    assert ways.inserted_by(positions, edges, radius) >= 15
+    assert ways.inserted_by(positions, edges, 0.998 * radius) < 15
+
+
+def test_every_row_has_the_sizes_of_the_paper():
+    for row in rows.rows(None):
+        if row.n_keyframes > 500:
+            continue  # the same code draws the large ones
+        graph = row.pose_graph()
+        assert (len(graph), len(graph.edges)) == pytest.approx((row.n_keyframes, row.n_edges), abs=1)
+        inserted = ways.inserted_by(graph.positions[:, :2], graph.edges, graph.radii[0])
+        assert row.n_inserted <= inserted < 1.1 * row.n_inserted + 10
+
+
+def test_the_papers_own_rows_are_of_the_kinds_that_its_text_says():
+    kinds = {row.name[:3]: table.kind(row.score, row.splits) for row in rows.rows(None)}
+    assert kinds == dict.fromkeys(["(a)", "(b)", "(c)", "(e)", "(f)", "(g)"], "global") | {
+        "(d)": "balanced"
+    } | dict.fromkeys(["(h)", "(i)", "(j)"], "harmless")
+
+
+def test_a_small_row_beside_the_papers():
+    row = next(row for row in rows.rows(None) if row.name.startswith("(c)"))
+    found = table.scored(row, row.pose_graph())
+    assert found["score"] > 1
+    assert found["kind"] == found["paper_kind"] == "global"
+    assert found["readings"]["shared, p = 2"] == pytest.approx(found["score"], rel=1e-6)
+    assert table.markdown([found])[2].startswith("| (c) Campus-8 | a lap")
+
+
+def test_a_score_with_open_ends_keeps_when_the_map_grows_at_the_defect():
+    small, large = (growth.grown("end on the way", growth.end_on_way(), times, "near") for times in (1, 3))
+    found = [growth.scores(graph) for graph in (small, large)]
+    kept = {name: found[1][name] / found[0][name] for name in growth.SCORES}
+    assert kept["score"] < 0.6
+    assert kept["stable_score"] == pytest.approx(1, abs=0.15)
+    assert kept["open_stable_score"] == pytest.approx(1, abs=0.01)
+
+
+def test_spheres_reach_through_a_wall_without_texture(monkeypatch):
+    monkeypatch.setattr(texture, "SEEDS", (0,))
+    monkeypatch.setattr(texture, "DENSITIES", (0.3,))
+    poor, dense = texture.run()
+    assert dense["n_inserted"] == 0
+    assert dense["radius_m"] == pytest.approx(texture.WIDTH_M / 2, rel=0.01)
+    assert poor["n_collisions"] > 0
+
+
+def test_the_benchmark_finds_the_same_tie_by_both_ways():
+    (found,) = revisits.run(1, 60, tell=print)
+    assert found["same"]
+    assert found["score"] < found["score_before"]
+    assert "1 of 1 maps of 60 keyframes" in revisits.summary([found])
+    assert isinstance(pgti.best_revisits(growth.grown("gap", growth.gap(), 1, "none")), list)
+
+
+def test_the_report_has_all_tables(monkeypatch, tmp_path):
+    small = [row for row in rows.rows(None) if row.name[:3] == "(d)"]
+    monkeypatch.setattr(table, "rows", lambda data: small)
+    monkeypatch.setattr(table, "false_loops", lambda seed: {"n": 1, "quartiles": [0, 0, 0], "largest": 0, "above_1": 0,
+                                                            "global_dominates": 0})  # fmt: skip
+    monkeypatch.setattr(paper.curves, "run", lambda folder: {"figure_4": CURVES, "figure_5": CURVES | {"blur": []}})
+    monkeypatch.setattr(growth, "GROWTHS", (1, 2))
+    monkeypatch.setattr(growth, "DEFECTS", {"crossing": growth.crossing})
+    monkeypatch.setattr(texture, "SEEDS", (0,))
+    monkeypatch.setattr(texture, "DENSITIES", (0.3,))
+    found = paper.run(None, tmp_path, tell=lambda text: None)
+    assert {path.name for path in tmp_path.iterdir()} == {"paper.json", "figure_6.png", "growth.png"}
+    text = "\n".join(paper.report(found))
+    assert all(word in text for word in ("(d) Campus-9", "crossing", "dense map", "ΔẼ"))
+
+
+CURVES = {"bursts": [(13, 13)], "lags": [{"lag": 0, "correlation": 1.0, "at_zero": 1.0}] * 9}
