@@ -1,18 +1,22 @@
 """Aliasing in small: labels come from geometry, rows are repeatable and resumed, every method answers."""
 
 import json
+from itertools import accumulate
 from pathlib import Path
 
 import gtsam
 import numpy as np
 import pytest
 from optional import needs_open3d
+from scipy import stats
 
+from pgti_gtsam.errors import InvalidOptionError
+from pgti_gtsam.factor_graphs import graph_of
 from scenarios import measures, sweep, worlds
 from scenarios.aliasing import field, figure, maps, methods, tables, trials
 from scenarios.aliasing.helper import Helper
 from scenarios.aliasing.trials import Trial
-from scenarios.problem import space
+from scenarios.problem import Problem, alone, space
 from scenarios.worlds import drift, layouts, sensors
 from scenarios.worlds.solid import Solid, box
 
@@ -207,6 +211,50 @@ def test_outliers_of_standard_graphs_are_far_from_true_and_the_rest_is_the_file(
             gaps.append(j - i)
     if "grouped" in kind:
         assert len(set(gaps)) <= 3
+
+
+def test_the_truth_of_a_graph_is_an_optimum_that_its_measurements_bear_out():
+    path = GRAPHS / "MIT.g2o"
+    if not path.is_file():
+        pytest.skip(f"{path} is absent")
+    given = field.problem(path, 1000, 0.05)
+    kept = methods.joined(given, given.true)
+    assert 2 * kept.error(given.truth) < stats.chi2.ppf(field.BORNE_OUT, 3 * given.true.sum())
+
+
+def square(*measured):
+    """Four poses on a square's corners, each a step from the next, and closures from the first to the last."""
+    noise, prior = (gtsam.noiseModel.Isotropic.Sigma(3, s) for s in (0.05, 1e-3))
+    corner, values = gtsam.Pose2(1, 0, np.pi / 2), gtsam.Values()
+    odometry = [gtsam.PriorFactorPose2(0, gtsam.Pose2(), prior)]
+    odometry += [gtsam.BetweenFactorPose2(k, k + 1, corner, noise) for k in range(3)]
+    for k, pose in enumerate(accumulate([corner] * 3, gtsam.Pose2.compose, initial=gtsam.Pose2())):
+        values.insert(k, pose)
+    closures = [gtsam.BetweenFactorPose2(0, 3, gtsam.Pose2(*pose), noise) for pose in measured]
+    return graph_of(odometry), closures, values
+
+
+def test_a_graph_that_no_trajectory_explains_has_no_truth():
+    odometry, closures, values = square((0, 1, -np.pi / 2), (30, 30, 0))
+    assert field.true_poses(odometry, closures[:1], values, values).size() == 4
+    with pytest.raises(InvalidOptionError, match="between 0 and 3"):
+        field.true_poses(odometry, closures, values, values)
+
+
+@pytest.mark.parametrize("method", ["IPC", "ROVER"])
+def test_what_bends_the_square_is_refused_and_what_closes_it_is_not(method):
+    odometry, closures, values = square((0, 1, -np.pi / 2), (30, 30, 0), (0.01, 1, -np.pi / 2))
+    given = Problem(
+        name="square",
+        graph=odometry,
+        values=values,
+        closures=tuple(alone(closure) for closure in closures),
+        true=np.array([True, False, True]),
+        overlapping=np.ones(3, dtype=bool),
+        radii=0.5,
+        truth=values,
+    )
+    np.testing.assert_array_equal(methods.solve(given, method).accepted, given.true)
 
 
 def test_a_standard_graph_in_space():
