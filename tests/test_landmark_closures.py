@@ -6,6 +6,10 @@ import pytest
 from streets import block, driven
 
 import pgti_gtsam as pgti
+from pgti_gtsam import datasets
+from pgti_gtsam.adapter.values import read_keyframes
+from pgti_gtsam.factor_graphs import factors_of, graph_of
+from pgti_gtsam.gate.gate import LoopClosureGate
 
 SEEN = gtsam.noiseModel.Diagonal.Sigmas([0.02, 0.1])
 LAP = 4 * 32
@@ -80,3 +84,48 @@ def test_a_landmark_that_nobody_knows_ties_nothing(mapped):
     assert decision.accepted
     assert decision.keys == ()
     assert np.isnan(decision.log_odds)
+
+
+@pytest.fixture(scope="module")
+def two_passes():
+    """KITTI 00 by stereo, whose later half sees none of the landmarks of the earlier one; what it saw of them."""
+    dataset, split = datasets.builtin(), 88
+    keyframes = read_keyframes(dataset.values)
+    sightings = [f for f in factors_of(dataset.graph) if isinstance(f, gtsam.GenericStereoFactor3D)]
+    seen_from = {}
+    for factor in sightings:
+        keyframe, landmark = factor.keys()
+        seen_from.setdefault(landmark, []).append(keyframes.index[keyframe])
+    graph, values, revisits, relabelled = gtsam.NonlinearFactorGraph(), gtsam.Values(dataset.values), {}, {}
+    for factor in factors_of(dataset.graph):
+        keyframe, landmark = factor.keys()
+        k = keyframes.index[keyframe]
+        if landmark not in seen_from or k < split or min(seen_from[landmark]) >= split:
+            graph.push_back(factor)
+            continue
+        if landmark not in relabelled:
+            relabelled[landmark] = gtsam.symbol("z", len(relabelled))
+            values.insert(relabelled[landmark], values.atPoint3(landmark))
+        graph.push_back(seen(factor, relabelled[landmark]))
+        if min(seen_from[landmark]) < k - 12:
+            revisits.setdefault(k, []).append(factor)
+    elsewhere = [landmark for landmark, rows in seen_from.items() if rows[0] == 10]
+    return LoopClosureGate().reference_map(graph, values), revisits, elsewhere
+
+
+def seen(factor, landmark):
+    """The same sighting of another landmark."""
+    keyframe, calibration = factor.keys()[0], factor.calibration()
+    return gtsam.GenericStereoFactor3D(factor.measured(), factor.noiseModel(), keyframe, landmark, calibration)
+
+
+@pytest.mark.parametrize("keyframe", [90, 93, 96])
+@pytest.mark.parametrize("association", ["true", "permuted", "elsewhere"])
+def test_landmarks_of_a_real_drive_seen_again(two_passes, keyframe, association):
+    reference, revisits, elsewhere = two_passes
+    factors = revisits[keyframe]
+    landmarks = [factor.keys()[1] for factor in factors]
+    labels = {"true": landmarks, "permuted": landmarks[1:] + landmarks[:1], "elsewhere": elsewhere}[association]
+    closure = [seen(factor, landmark) for factor, landmark in zip(factors, labels, strict=False)]
+    decision = LoopClosureGate().judge(reference, [graph_of(closure)]).decisions[0]
+    assert decision.verdict == ("accepted" if association == "true" else "rejected")

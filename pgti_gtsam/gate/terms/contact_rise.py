@@ -41,6 +41,9 @@ CHANGED = 150
 that they keep surroundings. A closure that changes more has folded the map in many places, and shows in each."""
 
 
+SEEN = 0.005
+"""Rise below which the sentence tells of none: two digits show no difference."""
+
 AT_ONCE = 2_000_000  # pairs of keyframes that are compared in one go: some hundred megabytes
 
 
@@ -201,7 +204,7 @@ def term(change: Change, label: str | None) -> Term:
     """The evidence in words; `label` names the keyframe that suffers most, None where nothing changed."""
     if label is None:
         sentence = "No contact of free space changes."
-    elif change.rise > 0:
+    elif change.rise > SEEN:
         sentence = (
             f"Free space around {label} comes to touch places that nothing connects: its score rises from "
             f"{change.before:.2f} to {change.after:.2f}."

@@ -25,6 +25,9 @@ at ρ = 4 m."""
 NEAR_SHARE = 0.1
 """Of true closures, those that match places."""
 
+SEEN = 1e-3
+"""Part of its standard deviation below which a miss is told as none."""
+
 AGREES = 0.4
 """Log odds of each further member of a revisit that agrees: those of false revisits agree less often, ln 1.5."""
 
@@ -110,8 +113,9 @@ def term(odds: float, missed_m: float, missed_rad: float, allowed_m: float) -> T
     if np.isnan(odds):
         sentence = "No tie leads between its keyframes: nothing predicts the closure."
     else:
+        shown = missed_m if missed_m > SEEN * allowed_m else 0.0
         sentence = (
-            f"The other ties put its later keyframe {metres(missed_m)} and {np.degrees(missed_rad):.0f}° from where "
+            f"The other ties put its later keyframe {metres(shown)} and {np.degrees(missed_rad):.0f}° from where "
             f"the closure does, give or take {metres(allowed_m)}."
         )
     return Term(value=missed_m, log_odds=odds, sentence=sentence)
