@@ -70,10 +70,10 @@ def test_compressed_files_are_read_as_they_are(tmp_path, compress, ending):
         (b" \n\n", "is empty"),
         (b"# only\n# comments\n", "nothing but comments"),
         (bytes(range(256)) * 4, "is binary"),
-        ("EDGE_SE2 0 1".encode("utf-16"), "is binary"),
+        ("EDGE_SE2 0 1".encode("utf-16"), "in UTF-16, which is not read; save it as UTF-8"),
         (b"once upon a time\nthere was a map\n", "no known format"),
         (b"1.5 2.5 3.5\n", "a table of 3 numbers"),
-        (b"\xff\xfe\xfa no text\n", "no known format"),
+        (b"\xfa\xff\xfe no text\n", "no known format"),
         (b"FIX 0\n", "no known format"),
     ],
 )

@@ -265,7 +265,7 @@ def test_what_unpacks_to_more_than_any_map_is_refused(tmp_path):
         (b"\x8bCSimpleMap\0\0", "MRPT simple map"),
         (b"#ROSBAG V2.0\n", "a ROS bag"),
         (b"# .PCD v0.7\n", "point cloud.*--cloud"),
-        (b"PK\x03\x04\0", "zip archive"),
+        (b"PK\x03\x04\0", "cannot be read: File is not a zip file"),
         (b'{"nodes": []}\n', "looks like JSON"),
         (b"<osm>\n", "looks like XML"),
     ],

@@ -219,9 +219,10 @@ def test_turning_on_the_spot_makes_keyframes_too(tmp_path):
 
 
 def test_newer_logs_are_read_as_well(tmp_path):
-    text = "".join(SCAN.format(ranges="3 2 50 60", time=i).replace("host", f"host{i}") for i in range(3))
+    scans = [SCAN.format(ranges="3 2 50 60", time=i).replace("host", f"host{i}") for i in range(3)]
+    text = "".join(scan.replace("60 0 0 0 0 0", f"60 0 {i} 0 0 {i}") for i, scan in enumerate(scans))
     dataset = read_text(tmp_path, text)
-    assert (dataset.format, dict(dataset.radii)) == ("CARMEN log", {0: 2.0})
+    assert (dataset.format, dict(dataset.radii)) == ("CARMEN log", {0: 2.0, 1: 2.0, 2: 2.0})
 
 
 def test_long_relations_beside_a_log_become_true_closures(tmp_path):

@@ -24,6 +24,10 @@ from pgti_gtsam.pose_graph import key_label
 STEP_SIGMAS = {2: (0.1, 0.1, 0.01), 3: (0.01, 0.01, 0.01, 0.1, 0.1, 0.1)}
 
 
+# Names of edges that hold one pose, behind whose identifier a measurement may look like another
+UNARY = ("PRIOR", "GRAVITY", "GPS")
+
+
 class Entry(NamedTuple):
     """A factor on poses: its line and the keys of its poses."""
 
@@ -146,6 +150,9 @@ def assemble(
         entries = trajectory_steps(dict(sorted(poses.items())))
         held = set(poses)
 
+    if not held:
+        raise file.error(f"holds {len(poses) or 'no'} pose and nothing that ties it; expected two keyframes at least")
+
     # factors in the order of the file
     graph = gtsam.NonlinearFactorGraph()
     by_line: list[Entry | Sighting] = sorted([*entries, *sightings], key=itemgetter(0))
@@ -188,7 +195,7 @@ def _unknown_edges(file: TextFile, known: Collection[str], poses: Collection[int
     names = {str(key) for key in poses}
     tying: dict[str, list[int]] = {}
     for tag in set(file.tags) - set(known):
-        if "EDGE" in tag.upper() and "PRIOR" not in tag.upper():
+        if "EDGE" in tag.upper() and not any(word in tag.upper() for word in UNARY):
             lines = [line for line in file.tags[tag] if _ties(line.fields[1:3], names)]
             tying |= {tag: [line.number for line in lines]} if lines else {}
     shown = ", ".join(f"{len(lines)} {quote(tag)}" for tag, lines in sorted(tying.items()))
@@ -218,7 +225,7 @@ def _refuse_mixture(
     dimensions |= {len(sighting.point) for sighting in sightings if sighting.point is not None}
     dimensions |= {len(point) for point in points.values()}
     if len(dimensions) > 1:
-        raise file.error("expected either planar or spatial vertices and edges, got both")
+        raise file.error("expected either planar or spatial vertices and edges, got both; write two files")
 
 
 def _place_poses(file: TextFile, held: Collection[int], betweens: Sequence[Between]) -> tuple[dict[int, Pose], str]:

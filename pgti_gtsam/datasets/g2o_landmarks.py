@@ -1,9 +1,9 @@
 """Landmarks of g2o files.
 
 ``VERTEX_XY``, ``VERTEX_TRACKXYZ`` (also ``VERTEX_POINT_XYZ``) and those of g2o's tutorial; sightings ``EDGE_SE2_XY``
-(also ``LANDMARK2``), ``EDGE_SE3_TRACKXYZ`` with its ``PARAMS_SE3OFFSET``, ``EDGE_BEARING_SE2_XY``. GTSAM's reader drops
-LANDMARK2 and refuses sensor offsets. RTAB-Map writes a tag (AprilTag, ArUco) as one more pose and its sightings as
-``EDGE_SE3``: the tag becomes a landmark at that pose's position, its orientation is of no use here.
+(also ``LANDMARK2``), ``EDGE_SE3_XYZ``, ``EDGE_SE3_TRACKXYZ`` with its ``PARAMS_SE3OFFSET``, ``EDGE_BEARING_SE2_XY``.
+GTSAM's reader drops LANDMARK2 and refuses sensor offsets. RTAB-Map writes a tag (AprilTag, ArUco) as one more pose and
+its sightings as ``EDGE_SE3``: the tag becomes a landmark at that pose's position, its orientation is of no use here.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ POINTS = {
     "VERTEX_XYZ": 3,
 }
 PLANAR = {"EDGE_SE2_XY": 2, "LANDMARK2": 2, "TUTORIAL_EDGE_SE2_POINT_XY": 3}  # identifiers
-SPATIAL, BEARING, TAGGED = "EDGE_SE3_TRACKXYZ", "EDGE_BEARING_SE2_XY", "EDGE_SE3"
-SIGHTING_TAGS = {*PLANAR, SPATIAL, BEARING}
+SPATIAL, CENTRED, BEARING, TAGGED = "EDGE_SE3_TRACKXYZ", "EDGE_SE3_XYZ", "EDGE_BEARING_SE2_XY", "EDGE_SE3"
+SIGHTING_TAGS = {*PLANAR, SPATIAL, CENTRED, BEARING}
 LANDMARK_TAGS = {*POINTS, *SIGHTING_TAGS}
 
 
@@ -50,6 +50,9 @@ def landmarks(file: TextFile) -> list[Sighting]:
         table = file.table(tag, ids=ids, widths=[2 + width for width in (0, *POINT_2)], poses=1)
         matrices = information(file, table, table.numbers[:, 2:], POINT_2, tag)
         found += sightings(file, table, table.numbers[:, :2], matrices)
+    centred = file.table(CENTRED, ids=2, widths=[3 + width for width in (0, *POINT_3)], poses=1)
+    matrices = information(file, centred, centred.numbers[:, 3:], POINT_3, CENTRED)
+    found += sightings(file, centred, centred.numbers[:, :3], matrices)
     return [*found, *_spatial(file), *_bearings(file)]
 
 

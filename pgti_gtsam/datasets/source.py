@@ -5,6 +5,7 @@ from __future__ import annotations
 import bz2
 import gzip
 import lzma
+import zipfile
 import zlib
 from collections.abc import Callable, Set
 from dataclasses import dataclass
@@ -16,10 +17,24 @@ from pgti_gtsam.datasets.dataset import Dataset
 from pgti_gtsam.datasets.text import TextFile, bare_name, joined, split_lines
 from pgti_gtsam.errors import FileFormatError
 
+
+def _only_member(path: Path) -> IO[bytes]:
+    """The one file in a zip archive."""
+    archive = zipfile.ZipFile(path)
+    members = [info for info in archive.infolist() if not info.is_dir()]
+    if len(members) != 1:
+        raise FileFormatError(path, f"is a zip archive of {len(members)} files; unpack it and name the one to read")
+    if members[0].flag_bits & 1:
+        raise FileFormatError(path, "is a zip archive with a password; unpack it")
+    return archive.open(members[0])
+
+
 OPENERS: dict[bytes, Callable[[Path], Any]] = {
     b"\x1f\x8b": gzip.GzipFile,
     b"BZh": bz2.BZ2File,
     b"\xfd7zXZ\x00": lzma.LZMAFile,
+    b"\x5d\x00\x00": lzma.LZMAFile,
+    b"PK\x03\x04": _only_member,
 }
 HEAD = 4096  # bytes in which every format has named itself
 STEP = 1 << 20  # bytes that are decompressed at a time
@@ -141,7 +156,7 @@ def read_text(path: Path) -> str:
     text = data.decode("utf-8-sig", errors="replace")
     if not text or text.isspace():
         raise FileFormatError(path, "is empty")
-    return text
+    return text if "\n" in text else text.replace("\r", "\n")  # as old Macs and some instruments end their lines
 
 
 def read_bytes(path: Path, limit: int | None = None) -> bytes:
@@ -164,7 +179,15 @@ def read_bytes(path: Path, limit: int | None = None) -> bytes:
         raise FileFormatError(path, "is a directory, expected a file") from None
     except FileNotFoundError:
         raise FileFormatError(path, "no such file") from None
-    except (OSError, EOFError, ValueError, zlib.error, lzma.LZMAError) as error:
+    except (
+        OSError,
+        EOFError,
+        ValueError,
+        zlib.error,
+        lzma.LZMAError,
+        zipfile.BadZipFile,
+        NotImplementedError,
+    ) as error:
         raise FileFormatError(path, f"cannot be read: {error}") from error
 
 

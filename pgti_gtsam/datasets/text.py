@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from pgti_gtsam.errors import FileFormatError
 
-ENDINGS = {".gz", ".bz2", ".xz"}
+ENDINGS = {".gz", ".bz2", ".xz", ".lzma", ".zip"}
 MAX_ID = 2**63 - 1  # keys of GTSAM have 64 bits, and the letter of a symbol in ASCII leaves the highest one free
 LARGEST = 1e30  # no length, angle or information reaches this, and its square is still a float64
 CHUNK = 8192  # lines whose fields are held as text at a time: fields take ten times the memory of their line
@@ -46,8 +46,8 @@ class Table:
     ids: NDArray[np.int64]
     numbers: NDArray[np.float64]
 
-    def where(self, kept: NDArray[np.bool_]) -> Table:
-        """The rows that a mask (n,) keeps."""
+    def where(self, kept: NDArray[np.bool_] | NDArray[np.int64]) -> Table:
+        """The rows that a mask (n,) keeps, or those of these numbers, in their order."""
         return Table(lines=self.lines[kept], ids=self.ids[kept], numbers=self.numbers[kept])
 
 
@@ -145,7 +145,7 @@ def split_lines(path: Path, text: str, *, ignore_unknown: bool = False, comma: b
         if words.startswith("#"):
             comments.append(Line(number, words))
         elif words:
-            line = Line(number, words)
+            line = Line(number, words.partition(" #")[0] if "#" in words else words)
             lines.append(line)
             tags.setdefault(words.split(None, 1)[0], []).append(line)
     return TextFile(path=path, lines=lines, tags=tags, comments=comments, ignore_unknown=ignore_unknown)

@@ -1,4 +1,4 @@
-"""Trajectories: TUM (``timestamp x y z qx qy qz qw``) and KITTI (the upper 3x4 of a pose by rows), a pose a line.
+"""Trajectories: TUM (``timestamp x y z qx qy qz qw``) and KITTI (the 4x4 of a pose by rows, or its upper 3x4).
 
 Most SLAM programs write one of the two. They hold no edges: consecutive poses are tied with assumed sigmas. Loops come
 in a second file, ``i j`` or ``timestamp timestamp``, and behind it the pose of the second from the first where it is
@@ -35,7 +35,10 @@ def parse(source: Source) -> Dataset:
     """
     file = source.file
     is_tum = len(source.first) == 8
-    table = file.rows(ids=0, widths=[8 if is_tum else 12])
+    table = file.rows(ids=0, widths=[8 if is_tum else len(source.first)])
+    if is_tum and (np.diff(table.numbers[:, 0]) < 0.0).any():
+        file.notes.append("lines are put in the order of time, and counted in it")
+        table = table.where(np.argsort(table.numbers[:, 0], kind="stable"))
     made = quaternion_poses(file, table, 1) if is_tum else matrix_poses(file, table)
     poses = dict(enumerate(made))
     times = table.numbers[:, 0] if is_tum else np.arange(len(table.lines), dtype=float)
@@ -116,8 +119,10 @@ def _indices(file: TextFile, table: Table, times: NDArray[np.float64]) -> NDArra
 
 def _recognises(source: Source) -> bool:
     fields = source.first
-    if len(fields) not in (8, 12) or not all(map(is_number, fields)):
+    if len(fields) not in (8, 12, 16) or not all(map(is_number, fields)):
         return False
+    if len(fields) == 16:
+        return list(map(float, fields[12:])) == [0.0, 0.0, 0.0, 1.0]
     return len(fields) == 12 or abs(float(np.linalg.norm(np.array(fields[4:], dtype=float))) - 1.0) < UNIT
 
 
