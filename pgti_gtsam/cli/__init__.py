@@ -11,6 +11,7 @@ from pgti_gtsam.cli.audit import audit, view
 from pgti_gtsam.cli.diffusion import diffusion
 from pgti_gtsam.cli.gate import closures, gate
 from pgti_gtsam.cli.options import READ_NOTES
+from pgti_gtsam.cli.replay import replay
 from pgti_gtsam.errors import PgtiError
 
 app = typer.Typer(add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode=None)
@@ -21,7 +22,7 @@ def describe() -> None:
     """Is this map right, and where not? Pose-graph topological integrity of SLAM maps."""
 
 
-for _command in (audit, view, gate, closures, diffusion):
+for _command in (audit, view, gate, closures, replay, diffusion):
     app.command()(_command)
 
 

@@ -9,10 +9,3 @@ window.addEventListener("error", (event) => report(event.message));
 window.addEventListener("unhandledrejection", (event) => report(event.reason));
 document.addEventListener("securitypolicyviolation", (event) =>
   report(`blocked: ${event.violatedDirective} ${event.blockedURI}`));
-
-const hasWebGL = Boolean(document.createElement("canvas").getContext("webgl"));
-if (!hasWebGL) {
-  byId("map").textContent = "This browser offers no WebGL, which the map needs. All else on this page works.";
-  report("no WebGL");
-}
-

@@ -1,5 +1,11 @@
 // A map in space as plotly draws it: edges, axes, the camera.
 
+const hasWebGL = Boolean(document.createElement("canvas").getContext("webgl"));
+if (!hasWebGL) {
+  byId("map").textContent = "This browser offers no WebGL, which the map needs. All else on this page works.";
+  report("no WebGL");
+}
+
 // Above this many keyframes, markers are squares of two triangles: a round one takes some hundred.
 const mostDiscs = 3000;
 

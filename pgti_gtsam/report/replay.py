@@ -1,0 +1,90 @@
+"""A replay as a JSON document, and the page drawn from the document: the map beside its curves, and a slider."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Mapping, Sequence
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pgti_gtsam.replay import METRICS, Replay
+from pgti_gtsam.report import web
+from pgti_gtsam.report.document import Document
+from pgti_gtsam.support_graph import support_graph
+
+SCHEMA, SCHEMA_VERSION = "pgti-gtsam/replay-page", 1
+_SCRIPTS = ("text.js", "errors.js", "plots.js", "replay.js")
+_COUNTS = ("n_keyframes", "n_edges", "n_inserted", "n_collisions", "n_new", "worst")
+_LEVELS = 254
+"""Steps of the colour scale; one byte a keyframe and moment, of which 255 stands for an infinite score."""
+
+
+def replay_document(replay: Replay, *, name: str, file_format: str, notes: Sequence[str] = ()) -> Document:
+    """Put a replay into one JSON-ready mapping.
+
+    Scores become levels of a colour scale from zero to the largest finite score of the moment. Edges are those of the
+    end; they are left out where the estimate moved, for they were others then.
+    """
+    pose_graph, final = replay.pose_graph, replay.pose_graph.positions.astype(np.float32)
+    still = all((moment.positions == final[: moment.n_keyframes]).all() for moment in replay.moments)
+    tops = [_top(moment.keyframe_scores) for moment in replay.moments]
+    levels = [_levels(moment.keyframe_scores, top) for moment, top in zip(replay.moments, tops, strict=True)]
+    support = support_graph(pose_graph) if still else None
+    return {
+        "schema": SCHEMA,
+        "schema_version": SCHEMA_VERSION,
+        "pgti_gtsam_version": version("pgti-gtsam"),
+        "input": {"name": name, "format": file_format, "notes": list(notes)},
+        "keyframes": {"label": pose_graph.labels, "position": np.round(pose_graph.positions, 4).tolist()},
+        "edges": {
+            "pose_graph": [] if support is None else pose_graph.edges.tolist(),
+            "inserted": [] if support is None else support.inserted_edges.tolist(),
+        },
+        "moments": {
+            **{each: [_number(value) for value in replay.curve(each).tolist()] for each in METRICS},
+            **{each: replay.curve(each).astype(int).tolist() for each in _COUNTS},
+        },
+        "lags": [_lag(replay, each) for each in METRICS],
+        "tops": tops,
+        "levels": _packed(np.concatenate(levels)),
+        "positions": None if still else _packed(np.concatenate([moment.positions for moment in replay.moments])),
+    }
+
+
+def write_replay_page(document: Mapping[str, Any], path: Path | str) -> None:
+    """Write one HTML file that needs no network; see `web.assembled` for what is raised."""
+    page = web.assembled(document, what="map integrity, replayed", body="replay.html", first="lags", scripts=_SCRIPTS)
+    Path(path).write_bytes(page.encode("utf-8"))
+
+
+def _top(scores: NDArray[np.float32]) -> float:
+    return float(scores[np.isfinite(scores)].max(initial=0.0)) or 1.0
+
+
+def _levels(scores: NDArray[np.float32], top: float) -> NDArray[np.uint8]:
+    levels = np.round(_LEVELS * np.minimum(scores, top) / top).astype(np.uint8)
+    levels[np.isinf(scores)] = 255
+    return levels
+
+
+def _lag(replay: Replay, name: str) -> Document:
+    found = replay.lags()[name]
+    known = not np.isnan(found.correlation)
+    return {
+        "metric": METRICS[name],
+        "lag": found.lag if known else None,
+        "correlation": found.correlation if known else None,
+        "at_zero": found.at_zero if known else None,
+    }
+
+
+def _number(value: float) -> float | str:
+    return "infinite" if np.isinf(value) else value
+
+
+def _packed(array: NDArray[Any]) -> str:
+    return base64.b64encode(np.ascontiguousarray(array, dtype=array.dtype.newbyteorder("<")).tobytes()).decode()
