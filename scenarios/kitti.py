@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import re
 import time
+from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -20,6 +21,7 @@ from pgti_gtsam import datasets
 from pgti_gtsam.datasets import Dataset
 from pgti_gtsam.errors import InvalidOptionError
 from pgti_gtsam.estimate import optimised
+from pgti_gtsam.factor_graphs import graph_of, keys_of, measured_from, slots_of
 from scenarios.measures import trajectory_errors
 
 EVERY, RADIUS_M = 5, 4.0
@@ -60,15 +62,25 @@ class Row:
 
 
 def run(
-    data: Path, sequences: Sequence[str], alphas: Sequence[str], tell: Callable[[str], None]
+    data: Path,
+    sequences: Sequence[str],
+    alphas: Sequence[str],
+    tell: Callable[[str], None],
+    *,
+    in_time_order: bool = False,
 ) -> dict[str, dict[str, Any]]:
-    """Gate every labelled file of the sequences; counts and rates by sequence, its files below."""
+    """Gate every labelled file of the sequences; counts and rates by sequence, its files below.
+
+    In time order the counts are those after a last review.
+    """
     found = {}
     for sequence in sequences:
         rows = []
         for path in files(data, sequence, alphas):
-            rows.append(gated(path))
-            tell(_line(rows[-1]))
+            steps = driven(path) if in_time_order else (gated(path),)
+            for row in steps:
+                tell(_line(row))
+            rows.append(steps[-1])
         total = Row(
             file=sequence,
             **{name: sum(getattr(row, name) for row in rows) for name in _COUNTS},
@@ -115,28 +127,76 @@ def files(data: Path, sequence: str, alphas: Sequence[str]) -> list[Path]:
 
 def gated(path: Path) -> Row:
     """Gate one file with its labels."""
-    dataset = datasets.read(path)
-    kept = datasets.subsample(dataset, EVERY)
-    if len(datasets.closure_slots(kept)) == len(
-        datasets.closure_slots(dataset)
-    ):  # else the loops lie between these frames: all are kept
-        dataset = kept
+    dataset = _read(path)
     closures = datasets.closure_slots(dataset)
     started = time.process_time()
     result = pgti.gate_graph(dataset.graph, dataset.values, radii=RADIUS_M, closures=closures)
     seconds = time.process_time() - started
-    true, accepted = set(dataset.true_closures or ()), set(result.accepted)
+    return _row(path.name, dataset, set(result.accepted), result.values, seconds)
+
+
+def driven(path: Path) -> tuple[Row, Row]:
+    """Gate one file in time order, by a gated smoother: what stands at the end, and what a last review leaves."""
+    # what every keyframe brings
+    dataset = _read(path)
+    closures, brought = set(datasets.closure_slots(dataset)), defaultdict(list)
+    for slot, factor in slots_of(dataset.graph):
+        brought[max(keys_of(factor))].append((slot, factor))
+
+    # in time order, from where the smoother has the keyframe before
+    parameters = gtsam.ISAM2Params()
+    parameters.setFactorization("QR")
+    smoother, slot_of = pgti.GatedISAM2(parameters, radii=RADIUS_M), {}
+    started = time.process_time()
+    for key in sorted(dataset.values.keys()):
+        odometry = [factor for slot, factor in brought[key] if slot not in closures]
+        offered = [(slot, factor) for slot, factor in brought[key] if slot in closures]
+        values = gtsam.Values()
+        values.insert(key, _predicted(smoother, odometry, dataset.values, key))
+        if not smoother.estimate().size():
+            odometry.append(gtsam.PriorFactorPose2(key, values.atPose2(key), gtsam.noiseModel.Unit.Create(3)))
+        update = smoother.update(graph_of(odometry), values, [factor for _, factor in offered])
+        slot_of |= dict(zip(update.closures, [slot for slot, _ in offered], strict=True))
+
+    # all of them once more, as a whole
+    found = []
+    for what in ("as they come", "after a review"):
+        if found:
+            smoother.revise(smoother.review_afresh())
+        accepted = {slot_of[number] for number in smoother.admitted}
+        seconds = time.process_time() - started
+        found.append(_row(f"{path.name}, {what}", dataset, accepted, smoother.estimate(), seconds))
+    return found[0], found[1]
+
+
+def _predicted(smoother: pgti.GatedISAM2, odometry: list[Any], values: gtsam.Values, key: int) -> gtsam.Pose2:
+    """Pose of a keyframe by its step from the one before; that of the file for the first."""
+    for factor in odometry:
+        before = min(keys_of(factor))
+        return smoother.calculateEstimatePose2(before).compose(measured_from(factor, before))
+    return values.atPose2(key)
+
+
+def _read(path: Path) -> Dataset:
+    """Every fifth frame, or all where some loops lie between these."""
+    dataset = datasets.read(path)
+    kept = datasets.subsample(dataset, EVERY)
+    return kept if len(datasets.closure_slots(kept)) == len(datasets.closure_slots(dataset)) else dataset
+
+
+def _row(name: str, dataset: Dataset, accepted: set[int], values: gtsam.Values, seconds: float) -> Row:
+    closures, true = set(datasets.closure_slots(dataset)), set(dataset.true_closures or ())
     only_true = gtsam.NonlinearFactorGraph(dataset.graph)
-    for slot in set(closures) - true:
+    for slot in closures - true:
         only_true.remove(slot)
     return Row(
-        file=path.name,
+        file=name,
         true=len(true),
         true_accepted=len(true & accepted),
-        false=len(set(closures) - true),
+        false=len(closures - true),
         false_accepted=len(accepted - true),
-        ate_m=_ate_m(dataset, result.values),
-        ate_only_true_m=_ate_m(dataset, optimised(only_true, result.values)),
+        ate_m=_ate_m(dataset, values),
+        ate_only_true_m=_ate_m(dataset, optimised(only_true, values)),
         seconds=seconds,
     )
 
@@ -160,7 +220,7 @@ def _record(row: Row) -> dict[str, Any]:
 def _line(row: Row) -> str:
     error = "" if row.ate_m is None else f"  error {row.ate_m:6.2f} m, with only true ones {row.ate_only_true_m:6.2f} m"
     return (
-        f"{row.file:28s} true {row.true_accepted:4d} of {row.true:4d}  false {row.false_accepted:4d} of {row.false:4d}"
+        f"{row.file:44s} true {row.true_accepted:4d} of {row.true:4d}  false {row.false_accepted:4d} of {row.false:4d}"
         f"{error}  {row.seconds:6.1f} s"
     )
 

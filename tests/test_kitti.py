@@ -70,3 +70,13 @@ def test_loops_of_a_real_detector():
         assert row["true_accepted_rate"] >= 0.99
         assert row["false_accepted_rate"] <= 0.01
         assert row["ate_m"] <= 1.05 * row["ate_only_true_m"]
+
+
+def test_a_sequence_is_gated_in_time_order(tmp_path):
+    write_sequence(tmp_path / "13", "13", 0)
+    done = gate_kitti("--data", tmp_path, "--sequences", "13", "--in-time-order")
+    assert done.returncode == 0, done.stdout + done.stderr
+    online, reviewed = done.stdout.splitlines()[:2]
+    assert "as they come" in online
+    assert "after a review  " in reviewed
+    assert "true   12 of   12  false    0 of    6" in reviewed
