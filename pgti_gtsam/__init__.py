@@ -13,6 +13,7 @@ from pgti_gtsam.gate import (
     gate_graph,
 )
 from pgti_gtsam.integrity import BetaSplit, Distortion, Integrity, assess
+from pgti_gtsam.mend import Clouds, Mended, clouds_in, mend, scans_of
 from pgti_gtsam.new_ties import NewTie, best_revisits
 from pgti_gtsam.pose_graph import Adaptation, EdgeSource, PoseGraph
 from pgti_gtsam.replay import Measure, Moment, Replay, replay
@@ -22,6 +23,7 @@ __all__ = [
     "BetaSplit",
     "ClosureDecision",
     "ClosureFinding",
+    "Clouds",
     "Diagnosis",
     "Distortion",
     "EdgeSource",
@@ -32,6 +34,7 @@ __all__ = [
     "Judgement",
     "LoopClosureGate",
     "Measure",
+    "Mended",
     "Moment",
     "NewTie",
     "PgtiError",
@@ -41,8 +44,11 @@ __all__ = [
     "Replay",
     "assess",
     "best_revisits",
+    "clouds_in",
     "diagnose",
     "from_gtsam",
     "gate_graph",
+    "mend",
     "replay",
+    "scans_of",
 ]

@@ -104,7 +104,7 @@ def gate_graph(
     judged = gate.judge(reference, offered, progress)
     decisions = dict(zip(slots, judged.decisions, strict=True))
     passed = without(graph, [slot for slot, decision in decisions.items() if not decision.accepted])
-    return GatedGraph(graph=passed, values=_optimum(passed, values, judged.settled, whole), decisions=decisions)
+    return GatedGraph(graph=passed, values=optimum(passed, values, judged.settled, whole), decisions=decisions)
 
 
 def leave_one_out(
@@ -147,7 +147,7 @@ def leave_one_out(
     return decisions, alone
 
 
-def _optimum(
+def optimum(
     graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, settled: Settled, pose_graph: PoseGraph
 ) -> gtsam.Values:
     """Optimum in the caller's noise models: from where the drift model has the keyframes, if the map is of poses."""

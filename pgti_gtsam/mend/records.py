@@ -1,0 +1,116 @@
+"""What mending a map consists of: closures taken out, ties tried, and the map before and after."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from pgti_gtsam.diagnosis.records import Diagnosis, Kind
+from pgti_gtsam.gate.decision import ClosureDecision
+from pgti_gtsam.mend.alignment import Alignment
+from pgti_gtsam.mend.submap import Submap
+
+Outcome = Literal["confirmed", "refused", "undecided"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Wanted:
+    """A tie that the map lacks.
+
+    Attributes
+    ----------
+    keyframes : (int, int)
+        Indices i < j.
+    keys : (int, int)
+    place : str or None
+        Kind of the audit's place that it belongs to; None where the map is tied there, but loosely.
+    pose : gtsam.Pose2 or gtsam.Pose3
+        Predicted pose of j seen from i.
+    covariance : (d, d) float
+        Of the prediction, in the tangent space of j in GTSAM's order: the region to search.
+    allowance_m : float
+        Standard deviation of the predicted position along its least certain axis.
+    """
+
+    keyframes: tuple[int, int]
+    keys: tuple[int, int]
+    place: Kind | None
+    pose: Any
+    covariance: NDArray[np.float64]
+    allowance_m: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Attempt:
+    """A tie that was tried.
+
+    Attributes
+    ----------
+    wanted : Wanted or None
+        None of a tie that came with the answers of a matcher.
+    keys : (int, int)
+    pose : gtsam.Pose2 or gtsam.Pose3 or None
+        What was measured, of the second key seen from the first; None where nothing was.
+    factor : gtsam.BetweenFactorPose2 or gtsam.BetweenFactorPose3 or None
+        The tie, with its noise; None where none was offered to the gate.
+    alignment : Alignment or None
+    submaps : (Submap, Submap) or None
+        What was aligned.
+    decision : ClosureDecision or None
+        The gate's, of those that the sensors confirm.
+    outcome : {"confirmed", "refused", "undecided"}
+    reason : str
+        A sentence.
+    round : int
+        In which round, from 1; 0 of a matcher's answers.
+    """
+
+    wanted: Wanted | None
+    keys: tuple[int, int]
+    pose: Any
+    factor: Any
+    alignment: Alignment | None
+    submaps: tuple[Submap, Submap] | None
+    decision: ClosureDecision | None
+    outcome: Outcome
+    reason: str
+    round: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Mended:
+    """A map before and after.
+
+    Attributes
+    ----------
+    graph : gtsam.NonlinearFactorGraph
+        The factors in their slots, those of closures that are out empty, then the ties that are in.
+    values : gtsam.Values
+        Its optimum.
+    out : mapping of slot to ClosureDecision
+        Closures of the map that did not pass the gate.
+    attempts : tuple of Attempt
+        The last attempt at each tie.
+    before, after : Diagnosis
+        Of the map at its optimum as it came, and of the mended one.
+    before_values : gtsam.Values
+    n_rounds : int
+    """
+
+    graph: gtsam.NonlinearFactorGraph
+    values: gtsam.Values
+    out: Mapping[int, ClosureDecision]
+    attempts: tuple[Attempt, ...]
+    before: Diagnosis
+    after: Diagnosis
+    before_values: gtsam.Values
+    n_rounds: int
+
+    def of(self, outcome: Outcome) -> list[Attempt]:
+        """Attempts that ended so."""
+        return [attempt for attempt in self.attempts if attempt.outcome == outcome]
