@@ -1,6 +1,7 @@
 """`pgti-gtsam gate` and `closures`: what they print, write and refuse."""
 
 import json
+import re
 from pathlib import Path
 
 import gtsam
@@ -100,6 +101,28 @@ def test_decisions_are_written_a_line_each(run, streets, tmp_path):
             assert record[name]["rise"] == pytest.approx(record[name]["after"] - record[name]["before"])
     graph = datasets.read(streets).graph
     assert all(list(graph.at(record["slot"]).keys()) == record["keys"] for record in records)
+
+
+def test_the_page_and_the_terminal_are_drawn_from_the_document(run, streets, tmp_path):
+    document, page = tmp_path / "gated.json", tmp_path / "gated.html"
+    code, out, _ = run("gate", streets, "--radius", RADIUS, "--json", document, "--html", page)
+    assert code == 0
+    found = json.loads(document.read_text(encoding="utf-8"))
+    assert [tuple(record["keys"]) for record in found["closures"][:2]] in (FALSE, FALSE[::-1])
+    assert found["options"] | {"rule": "log_odds", "min_probability": 0.95, "radius": RADIUS} == found["options"]
+    shown = page.read_text(encoding="utf-8")
+    block = re.search(r'<script type="application/json" id="document">(.*?)</script>', shown, re.DOTALL).group(1)
+    assert json.loads(block) == found
+    for record in found["closures"]:
+        rise = record["global_score"]
+        line = next(line for line in out.splitlines() if f" {record['keys'][0]} – {record['keys'][1]} " in line)
+        assert f"Λ_glob {rise['before']:.2f} → {rise['after']:.2f}" in line
+
+
+def test_scores_left_out_are_told(run, streets):
+    out = run("gate", streets, "--radius", RADIUS, "--no-scores")[1]
+    assert "→" not in out
+    assert "--scores computes both" in out
 
 
 def test_scores_are_those_of_the_decision(run, streets, tmp_path):

@@ -5,39 +5,20 @@ from __future__ import annotations
 import functools
 import json
 import re
-import shutil
-import subprocess
-from html.parser import HTMLParser
 
 import numpy as np
 import pytest
+from browser import References, dom_of_page, needs_chromium, rows_of, run_after_script
 from hand_made import as_gtsam
 
 from pgti_gtsam.diagnosis import diagnose
 from pgti_gtsam.errors import InvalidValueError
-from pgti_gtsam.report import web
 from pgti_gtsam.report.document import audit_document
 from pgti_gtsam.report.html import page, write_page
 
 HOSTILE = (
     "</script><script>document.body.dataset.pwned = 1</script><img src=x onerror=document.body.dataset.pwned=1>\u2028"
 )
-CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-OFFLINE = [
-    "--headless",
-    "--no-sandbox",
-    "--no-first-run",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-    "--host-resolver-rules=MAP * ~NOTFOUND",
-    "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader",
-    "--window-size=1400,1000",
-    "--virtual-time-budget=10000",
-]
-
-needs_chromium = pytest.mark.skipif(CHROMIUM is None, reason="needs a browser: Debian package chromium")
 
 
 def audit(positions, edges, radius, name="map"):
@@ -115,42 +96,17 @@ def dom_of(tmp_path_factory):
 def opened(document, folder, fragment=""):
     """The page's DOM after its scripts have run in a browser that reaches nothing."""
     write_page(document, folder / "page.html")
-    address = (folder / "page.html").as_uri() + fragment
-    command = [CHROMIUM, *OFFLINE, f"--user-data-dir={folder / 'profile'}", "--dump-dom", address]
-    return subprocess.run(command, capture_output=True, text=True, timeout=180, check=True).stdout
+    return dom_of_page(folder / "page.html", fragment)
 
 
 def run_after(monkeypatch, script):
-    """Let every page run a script once it is ready, among its own: `page` puts its hash into the policy."""
-    asset = web.asset
-    monkeypatch.setattr(web, "asset", lambda name: asset(name) + script * (name == "main.js"))
+    """Let every page run a script once it is ready."""
+    run_after_script(monkeypatch, "main.js", script)
 
 
 def marked(dom):
     """What the map marks, in the words of its canvas."""
     return re.search(r'<canvas id="marks"[^>]*aria-label="([^"]*)"', dom).group(1)
-
-
-def rows_of(dom, table):
-    """The rows of a table of the page as (classes, text)."""
-    body = re.search(rf'id="{table}">.*?<tbody>(.*?)</tbody>', dom, re.DOTALL).group(1)
-    rows = re.findall(r'<tr(?: class="([^"]*)")?>(.*?)</tr>', body, re.DOTALL)
-    return [(classes, " ".join(re.sub(r"<[^>]*>", " ", text).split())) for classes, text in rows]
-
-
-class References(HTMLParser):
-    """Addresses that elements load, without links that only a click follows; and the scripts' types."""
-
-    def __init__(self, text):
-        super().__init__()
-        self.found, self.scripts = [], []
-        self.feed(text)
-
-    def handle_starttag(self, tag, attrs):
-        self.found += [value for name, value in attrs if name in ("src", "data", "srcset", "action") or
-                       (name == "href" and tag != "a")]  # fmt: skip
-        if tag == "script":
-            self.scripts.append(dict(attrs).get("type"))
 
 
 @needs_chromium

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -11,6 +11,7 @@ import typer
 from rich.console import Console
 
 from pgti_gtsam.adapter import MIN_SHARED_LANDMARKS
+from pgti_gtsam.adapter.values import Keyframes, read_keyframes
 from pgti_gtsam.cli.options import (
     Cloud,
     Edges,
@@ -28,13 +29,21 @@ from pgti_gtsam.cli.options import (
     split_names,
 )
 from pgti_gtsam.datasets import Dataset
+from pgti_gtsam.datasets.chain import between_factors
 from pgti_gtsam.datasets.formats import gtsam_archive
 from pgti_gtsam.datasets.writer import Outcome, write_graph
 from pgti_gtsam.errors import InvalidOptionError
 from pgti_gtsam.gate import GatedGraph, GateOptions, LoopClosureGate, gate_graph
 from pgti_gtsam.gate.batch import leave_one_out
-from pgti_gtsam.report.decisions import closures_document, decision_records, least_probable_first, write_json_lines
+from pgti_gtsam.report.decisions import (
+    Record,
+    closures_document,
+    decision_records,
+    least_probable_first,
+    write_json_lines,
+)
 from pgti_gtsam.report.document import write_json
+from pgti_gtsam.report.gate_page import write_gate_page
 from pgti_gtsam.report.terminal import print_closures, print_decisions, print_heading, print_left_out, print_tally
 
 ARCHIVES = (gtsam_archive.NAME, gtsam_archive.XML_NAME)
@@ -54,8 +63,13 @@ def gate(
     every: Every = 1,
     rule: Annotated[str, typer.Option(help="log_odds, or of the paper global_rise or keyframe_rise.")] = "log_odds",
     min_probability: Annotated[float, typer.Option(help="Accept closures from this probability on.")] = 0.95,
-    scores: Annotated[bool, typer.Option("--scores", help="Show Λ_glob before and after each; slow.")] = False,
+    scores: Annotated[
+        bool | None,
+        typer.Option(help="Λ and Λ_glob before and after each closure. Default: where the map is not too large."),
+    ] = None,
     decisions: Annotated[Path | None, typer.Option(help="Write every decision, a JSON object a line.")] = None,
+    json: Annotated[Path | None, typer.Option(help="Write all decisions and the map to this JSON file.")] = None,
+    html: Annotated[Path | None, typer.Option(help="Write a page of the map, its closures, and why.")] = None,
     out: Annotated[
         Path | None, typer.Option(help="Write the gated graph: in FILE's format where that holds one, else as g2o.")
     ] = None,
@@ -68,7 +82,7 @@ def gate(
 ) -> None:
     """Judge the loop closures of a graph, and write the graph without those that fail."""
     files = MapFiles(files=file, values=values, loops=loops, one_map=one_map, ignore_unknown=ignore_unknown)
-    files.check_outputs([decisions, out, out_values, rejected], cloud)
+    files.check_outputs([decisions, json, html, out, out_values, rejected], cloud)
     started = time.perf_counter()
     with counted() as tell:
         tell("reading", 0, 1)
@@ -93,6 +107,23 @@ def gate(
         written = _write_gated(dataset, gated, out, out_values)
         if decisions is not None:
             write_json_lines(records, decisions)
+        if json is not None or html is not None:
+            document = _document(
+                dataset,
+                records,
+                [],
+                read_keyframes(gated.values),
+                "at the optimum with the accepted closures",
+                {
+                    **_read_as(radius, cloud, edges, min_shared_landmarks, every),
+                    "rule": rule,
+                    "min_probability": min_probability,
+                },
+            )
+            if json is not None:
+                write_json(document, json)
+            if html is not None:
+                write_gate_page(document, html)
         if rejected is not None:
             _write_pairs(dataset, gated.rejected, rejected)
 
@@ -103,7 +134,8 @@ def gate(
     print_tally(records, console, seconds=time.perf_counter() - started)
     print_left_out(written.unwritten, "the gated graph's file", console)
     graph = f"gated graph, {written.surprise}" if written.surprise else "gated graph"
-    _print_paths({"decisions": decisions, graph: out, "its values": out_values, "rejected closures": rejected}, console)
+    paths = {"decisions": decisions, "JSON": json, "page": html, graph: out, "its values": out_values}
+    _print_paths({**paths, "rejected closures": rejected}, console)
 
 
 def closures(
@@ -144,21 +176,8 @@ def closures(
 
         # write what was asked for
         if json is not None:
-            options = {
-                "radius": radius,
-                "cloud": None if cloud is None else cloud.name,
-                "edges": split_names(edges),
-                "min_shared_landmarks": min_shared_landmarks,
-                "every": every,
-            }
-            document = closures_document(
-                records,
-                name=dataset.title,
-                file_format=dataset.format,
-                notes=dataset.notes,
-                options=options,
-                unjudged=list(_ends(dataset, alone).values()),
-            )
+            options = _read_as(radius, cloud, edges, min_shared_landmarks, every)
+            document = _document(dataset, records, alone, read_keyframes(dataset.values), "as the file has it", options)
             write_json(document, json)
 
     # show it
@@ -174,6 +193,42 @@ def closures(
 def _gate(edges: str | None, min_shared_landmarks: int | None, **options: Any) -> LoopClosureGate:
     shared = MIN_SHARED_LANDMARKS if min_shared_landmarks is None else min_shared_landmarks
     return LoopClosureGate(options=GateOptions(edges=split_names(edges), min_shared_landmarks=shared, **options))
+
+
+def _read_as(
+    radius: float | None, cloud: Path | None, edges: str | None, min_shared_landmarks: int | None, every: int
+) -> dict[str, Any]:
+    """How the map was read, for a document."""
+    return {
+        "radius": radius,
+        "cloud": None if cloud is None else cloud.name,
+        "edges": split_names(edges),
+        "min_shared_landmarks": min_shared_landmarks,
+        "every": every,
+    }
+
+
+def _document(
+    dataset: Dataset,
+    records: Sequence[Record],
+    unjudged: Sequence[int],
+    keyframes: Keyframes,
+    drawn: str,
+    options: Mapping[str, Any],
+) -> Record:
+    """The closures and the map as JSON; `drawn` says where the keyframes are."""
+    closing = {record["slot"] for record in records} | set(unjudged)
+    return closures_document(
+        records,
+        name=dataset.title,
+        file_format=dataset.format,
+        notes=dataset.notes,
+        options=options,
+        unjudged=list(_ends(dataset, unjudged).values()),
+        keyframes=keyframes,
+        odometry=[each.ends for each in between_factors(dataset.graph) if each.slot not in closing],
+        drawn=drawn,
+    )
 
 
 def _ends(dataset: Dataset, slots: Any) -> dict[int, list[int]]:

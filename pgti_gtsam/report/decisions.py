@@ -13,11 +13,12 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from pgti_gtsam.adapter.values import Keyframes
 from pgti_gtsam.gate import Change, ClosureDecision
 from pgti_gtsam.pose_graph import key_label
 
 SCHEMA = "pgti-gtsam/closures"
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
 
 Record = dict[str, Any]
 
@@ -100,19 +101,44 @@ def closures_document(
     notes: Sequence[str],
     options: Mapping[str, Any],
     unjudged: Sequence[Sequence[int]],
+    keyframes: Keyframes,
+    odometry: Iterable[Sequence[int]],
+    drawn: str,
 ) -> Record:
-    """The closures of a finished map as one JSON-ready mapping, least probable first.
+    """The closures of a map as one JSON-ready mapping, least probable first.
 
-    ``unjudged`` names the keyframes of those on which a keyframe hangs alone, so that the map cannot be had without.
+    Parameters
+    ----------
+    records : sequence of dict
+        As `decision_records` makes them. ``ends`` is added: the closure's keyframes as indices, the earlier first.
+    name, file_format, notes, options
+        As in `audit_document`.
+    unjudged : sequence of (int, int)
+        Keys of closures on which a keyframe hangs alone, so that the map cannot be had without.
+    keyframes : Keyframes
+        Where the map has them: ``label`` and ``position``, m.
+    odometry : iterable of (int, int)
+        Keys of keyframes that odometry ties.
+    drawn : str
+        What the positions are, in words that complete "The map is drawn ...".
     """
+    index = keyframes.index
     return {
         "schema": SCHEMA,
         "schema_version": SCHEMA_VERSION,
         "pgti_gtsam_version": version("pgti-gtsam"),
         "input": {"name": name, "format": file_format, "notes": list(notes)},
         "options": dict(options),
-        "closures": least_probable_first(records),
+        "closures": [
+            record | {"ends": sorted(index[key] for key in record["keys"])} for record in least_probable_first(records)
+        ],
         "unjudged": [[key_label(key) for key in ends] for ends in unjudged],
+        "drawn": drawn,
+        "keyframes": {
+            "label": [key_label(key) for key in keyframes.keys.tolist()],
+            "position": keyframes.positions.tolist(),
+        },
+        "edges": {"odometry": [sorted(index[key] for key in ends) for ends in odometry]},
     }
 
 

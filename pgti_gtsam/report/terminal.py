@@ -208,18 +208,19 @@ def print_decisions(records: Sequence[Mapping[str, Any]], console: Console) -> N
     """Print one line for each closure: verdict, keyframes, probability, what is known of it, the gravest reason."""
     pairs = [_pair(record) for record in records]
     width = max(map(len, pairs), default=0)
+    is_scored = any(record["global_score"] is not None for record in records)
     for record, pair in zip(records, pairs, strict=True):
         known = () if record["is_true"] is None else ("known ", _known(record), ": ")
         said = Text.assemble(
             (f"{record['verdict']:9}", _VERDICT_COLOURS[record["verdict"]]),
             f"  {pair:{width}}  {_percent(record):>5}  ",
+            f"Λ_glob {_change(record['global_score'])}  " if is_scored else "",
             *known,
             _reason(record),
         )
         console.print(said, soft_wrap=True)
-        if record["global_score"] is not None:
-            rise = record["global_score"]
-            console.print(Text(f"{'':{width + 20}}Λ_glob {_share(rise['before'])} → {_share(rise['after'])}"))
+    if records and not is_scored:
+        console.print(Text("Λ_glob before and after was left out; --scores computes both, slowly", style="dim"))
 
 
 def print_closures(records: Sequence[Mapping[str, Any]], console: Console) -> None:
@@ -271,6 +272,10 @@ def print_left_out(counts: Mapping[str, int], where: str, console: Console) -> N
 def _pair(record: Mapping[str, Any]) -> str:
     (_, earlier), (_, later) = sorted(zip(record["keys"], record["keyframes"], strict=True))
     return f"{earlier} – {later}"
+
+
+def _change(score: Mapping[str, Any] | None) -> str:
+    return f"{'–':^11}" if score is None else f"{_share(score['before'])} → {_share(score['after'])}"
 
 
 def _share(value: float | str) -> str:

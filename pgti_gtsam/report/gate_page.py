@@ -1,0 +1,46 @@
+"""Gated closures as one HTML page that needs no network: see `web`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from pgti_gtsam.report import web
+from pgti_gtsam.report.decisions import SCHEMA, SCHEMA_VERSION
+
+_SCRIPTS = (
+    "text.js",
+    "errors.js",
+    "gate_model.js",
+    "camera.js",
+    "plots.js",
+    "space.js",
+    "canvas.js",
+    "gate_map.js",
+    "gate_charts.js",
+    "gate_tables.js",
+    "gate_main.js",
+)
+
+
+def write_gate_page(document: Mapping[str, Any], path: Path) -> None:
+    """Write one HTML file that makes no network request: the map, its closures in time, and why each has its verdict.
+
+    The page opens at the least probable closure; `#slot=1234` after its address at the closure of that factor.
+
+    Parameters
+    ----------
+    document : Mapping
+        As `closures_document` makes it.
+    path : Path
+        The file; it is overwritten.
+
+    Raises
+    ------
+    InvalidValueError
+        The document has another schema, or holds a number that JSON cannot carry.
+    """
+    web.require_schema(document, SCHEMA, SCHEMA_VERSION)
+    page = web.assembled(document, what="loop closures", body="gate.html", first="closures", scripts=_SCRIPTS)
+    path.write_bytes(page.encode("utf-8"))
