@@ -67,8 +67,9 @@ def best_revisits(pose_graph: PoseGraph, count: int = 10, *, n_times: int = 100,
     Returns
     -------
     list of NewTie
-        Lowest Λ first; empty where the graph lacks no edge. Where the pose graph falls into parts only ties that join
-        parts are tried, and each by a new factorisation: until the parts are one, nothing else counts.
+        Lowest Λ first, and only those that lower it; none where the graph lacks no edge. Where the pose graph falls
+        into parts only ties that join parts are tried, and each by a new factorisation: until the parts are one,
+        nothing else counts.
 
     Raises
     ------
@@ -89,14 +90,16 @@ def best_revisits(pose_graph: PoseGraph, count: int = 10, *, n_times: int = 100,
         ranked = _tried(pose_graph, joining, target, count)
     else:
         ranked = _searched(OneMoreEdge.of(n, pose_graph.edges, target.times, TOLERANCE), ties, target, count)
+    score_before = float(target.scores.max())
     return [
         NewTie(
             keyframes=(int(i), int(j)),
             keys=(int(pose_graph.keys[i]), int(pose_graph.keys[j])),
             score=score,
-            score_before=float(target.scores.max()),
+            score_before=score_before,
         )
         for score, (i, j) in ranked
+        if score < score_before
     ]
 
 

@@ -2,13 +2,12 @@
 
 import json
 import re
-import subprocess
 import sys
 
 import gtsam
 import numpy as np
 import pytest
-from test_html import CHROMIUM, OFFLINE, needs_chromium
+from browser import dom_of_page, needs_chromium
 
 import pgti_gtsam as pgti
 from pgti_gtsam import datasets
@@ -220,8 +219,7 @@ def test_a_picture_that_cannot_be_drawn_is_refused_first(run, tmp_path, monkeypa
 def test_the_page_shows_the_map_as_it_was(run, map_file, tmp_path):
     page = tmp_path / "r.html"
     assert run("replay", map_file, "--radius", 0.5, "--every", 30, "--html", page)[0] == 0
-    command = [CHROMIUM, *OFFLINE, f"--user-data-dir={tmp_path}", "--dump-dom", page.as_uri() + "#keyframes=60"]
-    dom = subprocess.run(command, capture_output=True, text=True, timeout=180, check=True).stdout
+    dom = dom_of_page(page, "#keyframes=60")
     body = re.search(r"<body[^>]*>", dom).group()
     assert 'data-ready="true"' in body
     assert "data-errors" not in body

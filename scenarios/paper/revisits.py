@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,7 +17,7 @@ from scenarios.paper.ways import Positions, covisible, pose_graph
 AGREED = 1e-6
 """Difference in Λ up to which two ties count as equally good."""
 
-FIRST_SEED = 100
+FIRST_SEED, RADIUS_M = 100, 1.0
 
 
 def winding(seed: int, n: int) -> Positions:
@@ -30,18 +32,21 @@ def winding(seed: int, n: int) -> Positions:
     return np.array(positions)
 
 
-def run(n_maps: int, n: int, tell: Callable[[str], None]) -> list[dict[str, Any]]:
-    """Both ways on drawn maps: which tie each finds, and the processor time of each."""
-    found = []
-    seed = FIRST_SEED
+def run(n_maps: int, n: int, path: Path, tell: Callable[[str], None]) -> list[dict[str, Any]]:
+    """Both ways on drawn maps: which tie each finds, and the processor time of each; known lines are kept."""
+    lines = path.read_text(encoding="utf-8").splitlines() if path.is_file() else []
+    found = [json.loads(line) for line in lines]
+    seed = found[-1]["seed"] + 1 if found else FIRST_SEED
     while len(found) < n_maps:
-        graph = pose_graph(winding(seed, n), covisible(n, 4 * n), 1.5)
+        graph = pose_graph(winding(seed, n), covisible(n, 4 * n), RADIUS_M)
         if len(support_graph(graph).inserted_edges):
             found.append({"seed": seed, **_compared(graph)})
+            with path.open("a", encoding="utf-8") as file:
+                file.write(json.dumps(found[-1]) + "\n")
             row = found[-1]
             tell(f"{row['seed']} {row['n_ties']} ties, {row['seconds']:.3f} s against {row['brute_seconds']:.1f} s")
         seed += 1
-    return found
+    return found[:n_maps]
 
 
 def summary(found: list[dict[str, Any]]) -> str:
