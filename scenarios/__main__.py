@@ -13,6 +13,7 @@ from pgti_gtsam.errors import InvalidOptionError, PgtiError
 from scenarios import kitti, sweep, worlds
 from scenarios import scans as scan_graphs
 from scenarios import speed as speed_experiment
+from scenarios import spikes as spikes_experiment
 from scenarios.aliasing import figure, maps, tables, trials
 from scenarios.aliasing.methods import METHODS
 from scenarios.diagnosis import contacts_fit
@@ -183,6 +184,21 @@ def which_contacts_are_real(
     """Contacts of odometry alone, in worlds with two kinds of drift: the fit that tells real ones. Five minutes."""
     wanted = list(contacts_fit.trials(list(LAYOUTS), _whole_numbers(seeds)))
     for line in contacts_fit.report(sweep.run(out, wanted, contacts_fit.row, scheduler, print)):
+        print(line)
+    print(f"results: {out}")
+
+
+@app.command("spikes")
+def which_score_spikes(
+    data: Annotated[Path | None, typer.Option(help="Folder of all data; worlds only without.")] = None,
+    seeds: Annotated[str, typer.Option(help="Seeds of the drives, between commas.")] = "0,1,2,3,4",
+    training: Annotated[str, typer.Option(help="Seeds that the limits are chosen on.")] = "1000,1001,1002",
+    scheduler: Annotated[str | None, typer.Option(help="Address of a Dask scheduler; a local cluster without.")] = None,
+    out: Annotated[Path, typer.Option(help="A JSON line a map; known ones are kept.")] = RESULTS / "spikes.jsonl",
+) -> None:
+    """How seven scores of PGTI rise at true and at false closures, worlds and real maps. Half an hour."""
+    wanted = spikes_experiment.trials(list(LAYOUTS), _whole_numbers(training) + _whole_numbers(seeds), data)
+    for line in spikes_experiment.report(sweep.run(out, wanted, spikes_experiment.row, scheduler, print, data=data)):
         print(line)
     print(f"results: {out}")
 

@@ -1,0 +1,343 @@
+"""Which rise of PGTI tells a false closure: "a spurious closure makes the score spike" (section 6.3.1), measured.
+
+Closures come in time order onto a map that ties all true ones before. A candidate is tied by itself, the drift model
+brings the map to its optimum with it and without, and seven scores are compared before and after. Candidates are the
+first true match of every revisit and all false ones, sampled where there are many: the further matches of a revisit
+that is tied already move nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+import pgti_gtsam as pgti
+from pgti_gtsam import datasets
+from pgti_gtsam.datasets import Dataset
+from pgti_gtsam.datasets.chain import between_factors, closure_slots, poses_of
+from pgti_gtsam.errors import InvalidOptionError
+from pgti_gtsam.factor_graphs import graph_of
+from pgti_gtsam.gate.candidate_map import CandidateMaps
+from pgti_gtsam.gate.reference_map import ReferenceMap
+from pgti_gtsam.gate.settled import settle
+from pgti_gtsam.gate.terms.contact_rise import local_rise
+from pgti_gtsam.integrity import Integrity, relative_distortion
+from scenarios import kitti, scans, worlds
+from scenarios.aliasing import field
+from scenarios.measures import area_under_curve
+from scenarios.problem import Problem, alone, between
+from scenarios.worlds.layouts import LAYOUTS
+
+SPIKES = {
+    "score": "Λ",
+    "global_score": "Λ_glob",
+    "mean_score": "Z̄",
+    "keyframe": "ζ_i",
+    "keyframe_global": "ζ_glob,i",
+    "stable": "σ_i",
+    "contact": "contact rise",
+}
+"""What is compared before and after. Λ_glob is the paper's; with an index, the largest rise of any keyframe's own
+score; σ is the stable score, at fixed times; the contact rise is what the gate weighs: σ near what changed, without the
+overlaps that the closure explains."""
+
+TRAINING = 1000
+"""Seeds from here on are for choices: the limits of `limits_of`."""
+
+MOST = 40
+"""Candidates of either kind that are drawn from one map."""
+
+AROUND = 10
+"""Keyframes at both ends within which an earlier true closure makes a true one a further match of its revisit."""
+
+LOST = 0.01
+"""Share of true closures that a limit may cost."""
+
+FEW = 5
+"""Candidates of a kind below which no share is told."""
+
+KITTI = {"KITTI 00": ("00", ["0.15"]), "KITTI 06": ("06", ["0.15"]), "KITTI 07": ("07", ["0.25"])}
+"""Sequences, at the detector's threshold that lets most false loops through."""
+
+BICOCCA = {"Bicocca, 1 m": 1.0, "Bicocca, 2 m": 2.0, "Bicocca, 4 m": 4.0}
+"""Radii that are assumed."""
+
+FIELD = ("CSAIL", "MIT", "intel", "manhattan_olson3500", "parking-garage", "sphere2500")
+"""Standard graphs, with as many random false closures as they have true ones."""
+
+REAL = (*KITTI, *scans.LOGS, *BICOCCA, *FIELD)
+
+
+class Trial(NamedTuple):
+    """A world of `LAYOUTS` or a map of `REAL`; the seed of its drive or false closures, and of the sample."""
+
+    map: str
+    seed: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Arrivals:
+    """Closures by the later of their keyframes, and the map that they come to.
+
+    Attributes
+    ----------
+    odometry : gtsam.NonlinearFactorGraph
+    values : gtsam.Values
+        Odometry chained.
+    closures : sequence of gtsam.NonlinearFactorGraph
+        One between factor each.
+    true, overlapping : (k,) bool
+        As in `Problem`.
+    radii : float, or mapping from key to float
+        m.
+    """
+
+    odometry: gtsam.NonlinearFactorGraph
+    values: gtsam.Values
+    closures: Sequence[gtsam.NonlinearFactorGraph]
+    true: NDArray[np.bool_]
+    overlapping: NDArray[np.bool_]
+    radii: float | Mapping[int, float]
+
+
+def trials(names: Sequence[str], seeds: Sequence[int], data: Path | None) -> list[Trial]:
+    """Every world at every seed, and all real maps once."""
+    found = [Trial(name, seed) for name in names for seed in seeds]
+    return found if data is None else found + [Trial(name, 0) for name in REAL]
+
+
+def row(trial: Trial, data: Path | None) -> dict[str, Any]:
+    """Every candidate of a map: whether it is true, whether it brings free space into contact, and its rises."""
+    arriving = arrivals(trial, data)
+    ends = [_ends(closure) for closure in arriving.closures]
+    chosen = _sample(ends, arriving.true, np.random.default_rng(trial.seed))
+    chain = poses_of(arriving.values)
+    estimate: dict[int, Any] = {}
+    tied, found = [], []
+    for k, closure in enumerate(arriving.closures):
+        if k in chosen:
+            estimate = _continued(estimate, chain, ends[k][1])
+            reference = _map_until(arriving, ends[k][1], tied, estimate)
+            estimate = _drawn(reference)
+            seen = {"true": bool(arriving.true[k]), "overlapping": bool(arriving.overlapping[k])}
+            found.append(seen | {"ends": list(ends[k])} | spikes(reference, closure))
+        if arriving.true[k]:
+            tied.append(closure)
+    return trial._asdict() | {"keyframes": len(chain), "offered": len(ends), "candidates": found}
+
+
+def spikes(reference: ReferenceMap, closure: gtsam.NonlinearFactorGraph) -> dict[str, float]:
+    """By how much each of `SPIKES` rises when a closure is tied."""
+    # the map without and with the closure, at either optimum
+    without, (ties,) = reference.offered([closure])
+    active = without.active.copy()
+    active[ties] = True
+    tied = settle(without.model, active, without)
+    maps = CandidateMaps(reference=reference, offered=without)
+    before, after = maps.integrity(without), maps.integrity(tied)
+
+    # what rises
+    contact, _ = local_rise(maps.contacts(without), maps.contacts(tied))
+    found = {
+        "score": after.score - before.score,
+        "global_score": after.split().global_ - before.split().global_,
+        "mean_score": after.mean_score - before.mean_score,
+        "keyframe": np.max(after.keyframe_scores - before.keyframe_scores),
+        "keyframe_global": np.max(_global_scores(after) - _global_scores(before)),
+        "stable": np.max(after.stable_scores - before.stable_scores),
+        "contact": contact.rise,
+    }
+    return {name: float(f"{rise:.5g}") for name, rise in found.items()}
+
+
+def _global_scores(integrity: Integrity) -> NDArray[np.float64]:
+    """ζ_glob of every keyframe, of which Λ_glob is that of the worst keyframe alone."""
+    late = slice(round(integrity.beta * len(integrity.times)), None)
+    before, after = integrity.signatures_pose_graph[:, late], integrity.signatures_merged_graph[:, late]
+    return relative_distortion(before, after, integrity.norm)
+
+
+def _sample(ends: Sequence[tuple[int, int]], true: NDArray[np.bool_], random: np.random.Generator) -> set[int]:
+    """First matches of true revisits, and false closures: at most `MOST` of either."""
+    first, passed = [], []
+    for k in np.flatnonzero(true).tolist():
+        if not any(abs(i - ends[k][0]) <= AROUND and abs(j - ends[k][1]) <= AROUND for i, j in passed):
+            first.append(k)
+        passed.append(ends[k])
+    kinds = (np.array(first, dtype=int), np.flatnonzero(~true))
+    return {int(k) for kind in kinds for k in random.permutation(kind)[:MOST]}
+
+
+def _ends(closure: gtsam.NonlinearFactorGraph) -> tuple[int, int]:
+    earlier, later = sorted(closure.at(0).keys())
+    return earlier, later
+
+
+def _continued(estimate: Mapping[int, Any], chain: Mapping[int, Any], last: int) -> dict[int, Any]:
+    """The estimate so far, and the keyframes up to the last by odometry from its end."""
+    found, end = dict(estimate), max(estimate, default=None)
+    for key, pose in chain.items():
+        if key <= last and key not in found:
+            found[key] = pose if end is None else estimate[end].compose(chain[end].between(pose))
+    return found
+
+
+def _map_until(
+    arriving: Arrivals, last: int, tied: Sequence[gtsam.NonlinearFactorGraph], estimate: Mapping[int, Any]
+) -> ReferenceMap:
+    """The map as it is when its last keyframe has come."""
+    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    for slot in range(arriving.odometry.size()):
+        if max(arriving.odometry.at(slot).keys()) <= last:
+            graph.push_back(arriving.odometry.at(slot))
+    first = graph.size()
+    for closure in tied:
+        graph.push_back(closure.at(0))
+    for key, pose in estimate.items():
+        values.insert(key, pose)
+    radii = arriving.radii
+    if isinstance(radii, Mapping):
+        radii = {key: radii[key] for key in estimate if key in radii}
+    return pgti.LoopClosureGate().reference_map(graph, values, radii, range(first, graph.size()))
+
+
+def _drawn(reference: ReferenceMap) -> dict[int, Any]:
+    """Where the drift model has the keyframes, in the caller's frame of body."""
+    turn = reference.settled.model.levelling.inverse()
+    poses = (pose.compose(turn) for pose in reference.settled.poses)
+    return dict(zip(reference.pose_graph.keys.tolist(), poses, strict=True))
+
+
+def arrivals(trial: Trial, data: Path | None) -> Arrivals:
+    """What arrives on a map.
+
+    Raises
+    ------
+    InvalidOptionError
+        A real map without the folder of all data, or one that is not there.
+    """
+    name, seed = trial
+    if name in LAYOUTS:
+        return _of_problem(worlds.problem(name, seed))
+    if data is None:
+        raise InvalidOptionError(f"expected the folder of all data for {name}, got none; --data names the folder")
+    if name in KITTI:
+        (path,) = kitti.files(data, *KITTI[name])
+        return _labelled(path, kitti.EVERY, kitti.RADIUS_M)
+    if name in BICOCCA:
+        return _labelled(data / "bicocca" / "bicocca_25b_half_0.000.g2o", 1, BICOCCA[name])
+    if name in scans.LOGS:
+        return _with_look_alikes(data / "scan_pose_graphs" / f"{name}.log", seed)
+    return _of_problem(field.problem(data / "pose_graphs" / f"{name}.g2o", seed, 1.0))
+
+
+def _of_problem(given: Problem) -> Arrivals:
+    return Arrivals(
+        odometry=given.graph,
+        values=given.values,
+        closures=given.closures,
+        true=given.true,
+        overlapping=given.overlapping,
+        radii=given.radii,
+    )
+
+
+def _labelled(path: Path, every: int, radius_m: float) -> Arrivals:
+    """A graph with the loops of a detector, labelled."""
+    dataset = datasets.subsample(datasets.read(path), every)
+    slots = closure_slots(dataset)
+    true = [slot in (dataset.true_closures or ()) for slot in slots]
+    return _offered(dataset, [dataset.graph.at(slot) for slot in slots], true, radius_m)
+
+
+def _with_look_alikes(path: Path, seed: int) -> Arrivals:
+    """A scan graph, and false closures between scans that look alike."""
+    dataset = datasets.read(path)
+    own = [dataset.graph.at(slot) for slot in closure_slots(dataset)]
+    alike = scans.look_alikes(path)
+    drawn = np.random.default_rng(seed).permutation(len(alike))[:MOST].tolist()
+    false = [between(*alike[k], own[0].noiseModel()) for k in drawn]
+    return _offered(dataset, [*own, *false], [True] * len(own) + [False] * len(false), dataset.radii)
+
+
+def _offered(dataset: Dataset, factors: Sequence[Any], true: Sequence[bool], radii: Any) -> Arrivals:
+    order = sorted(range(len(factors)), key=lambda k: (max(factors[k].keys()), min(factors[k].keys()), k))
+    closing = set(closure_slots(dataset))
+    return Arrivals(
+        odometry=graph_of([each.factor for each in between_factors(dataset.graph) if each.slot not in closing]),
+        values=datasets.chain_odometry(dataset),
+        closures=[alone(factors[k]) for k in order],
+        true=np.array([true[k] for k in order]),
+        overlapping=np.ones(len(order), dtype=bool),
+        radii=radii,
+    )
+
+
+def report(rows: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    """Three tables as Markdown: area under the curve, false ones caught, and the same by limits of training seeds."""
+    pools = _pools([row for row in rows if row["seed"] < TRAINING])
+    training = [row for row in rows if row["seed"] >= TRAINING]
+    yield from _table("area under the curve", pools, _area)
+    yield from _table(f"false ones caught where {LOST:.0%} of the true are lost", pools, _caught_by_own_limit)
+    if training:
+        limits = limits_of(training)
+        yield "\nlimits of the training seeds: " + ", ".join(f"{SPIKES[name]} {x:.3g}" for name, x in limits.items())
+        yield from _table("false ones caught, true ones lost, by these", pools, partial(_by_limit, limits))
+
+
+def limits_of(rows: Sequence[Mapping[str, Any]]) -> dict[str, float]:
+    """The rise of each score that `LOST` of the true closures of some maps exceed."""
+    found = [each for row in rows for each in row["candidates"]]
+    return {name: _limit(_rises(found, name, is_true=True)) for name in SPIKES}
+
+
+def _pools(rows: Sequence[Mapping[str, Any]]) -> dict[str, list[Any]]:
+    """Candidates by map, those of all seeds together, and of all worlds."""
+    found: dict[str, list[Any]] = {}
+    for each in rows:
+        found.setdefault(each["map"], []).extend(each["candidates"])
+    seen = [each for name in LAYOUTS for each in found.get(name, [])]
+    reached = [each for each in seen if each["overlapping"]]
+    return found | {"all worlds": seen, "all worlds, of which in contact": reached}
+
+
+def _table(title: str, pools: Mapping[str, list[Any]], cell: Callable[[list[Any], str], str]) -> Iterator[str]:
+    yield f"\n{title}\n"
+    yield f"| map | true | false | {' | '.join(SPIKES.values())} |"
+    yield "|---|" + "---|" * (2 + len(SPIKES))
+    for name, found in pools.items():
+        true = sum(each["true"] for each in found)
+        false, known = len(found) - true, min(true, len(found) - true) >= FEW
+        cells = [cell(found, spike) if known else "–" for spike in SPIKES]
+        yield f"| {name} | {true} | {false} | {' | '.join(cells)} |"
+
+
+def _rises(found: Sequence[Mapping[str, Any]], name: str, *, is_true: bool) -> NDArray[np.float64]:
+    return np.array([each[name] for each in found if each["true"] is is_true], dtype=float)
+
+
+def _limit(true: NDArray[np.float64]) -> float:
+    """The least limit that no more than `LOST` of these exceed."""
+    return float(np.sort(true)[::-1][int(LOST * len(true))])
+
+
+def _area(found: Sequence[Mapping[str, Any]], name: str) -> str:
+    true, rises = (np.array([each[key] for each in found]) for key in ("true", name))
+    return f"{area_under_curve(true, -rises):.2f}"
+
+
+def _caught_by_own_limit(found: Sequence[Mapping[str, Any]], name: str) -> str:
+    limit = _limit(_rises(found, name, is_true=True))
+    return f"{np.mean(_rises(found, name, is_true=False) > limit):.0%}"
+
+
+def _by_limit(limits: Mapping[str, float], found: Sequence[Mapping[str, Any]], name: str) -> str:
+    false, true = (np.mean(_rises(found, name, is_true=is_true) > limits[name]) for is_true in (False, True))
+    return f"{false:.0%}, {true:.0%}"
