@@ -10,6 +10,7 @@ from rich.console import Console
 from pgti_gtsam.cli.audit import audit, view
 from pgti_gtsam.cli.diffusion import diffusion
 from pgti_gtsam.cli.gate import closures, gate
+from pgti_gtsam.cli.mend import mend
 from pgti_gtsam.cli.options import READ_NOTES
 from pgti_gtsam.cli.replay import replay
 from pgti_gtsam.errors import PgtiError
@@ -22,7 +23,7 @@ def describe() -> None:
     """Is this map right, and where not? Pose-graph topological integrity of SLAM maps."""
 
 
-for _command in (audit, view, gate, closures, replay, diffusion):
+for _command in (audit, view, gate, closures, mend, replay, diffusion):
     app.command()(_command)
 
 

@@ -22,6 +22,7 @@ from pgti_gtsam.estimate import optimised
 from pgti_gtsam.factor_graphs import checked_closure, keys_of, without
 from pgti_gtsam.gate import ClosureDecision, LoopClosureGate, gate_graph
 from pgti_gtsam.gate.batch import optimum
+from pgti_gtsam.gate.decision import metres
 from pgti_gtsam.gate.reference_map import ReferenceMap
 from pgti_gtsam.gate.ties import OFFSET
 from pgti_gtsam.mend.alignment import Cloud, align
@@ -166,7 +167,7 @@ class _Mending:
             wanted=wanted,
             keys=wanted.keys,
             pose=None if found is None else found.pose,
-            factor=tie(wanted, found, unit, sigmas) if found is not None and outcome == "confirmed" else None,
+            factor=None if found is None else tie(wanted, found, unit, sigmas),
             alignment=found,
             submaps=ends,
             decision=None,
@@ -177,7 +178,7 @@ class _Mending:
 
     def offer(self, found: Sequence[Attempt], reference: ReferenceMap | None = None) -> bool:
         """Let the gate judge ties, take in what passes, and optimise; whether anything passed."""
-        offered = [attempt for attempt in found if attempt.factor is not None]
+        offered = [attempt for attempt in found if attempt.outcome == "confirmed"]
         self.attempts |= {attempt.keys: attempt for attempt in found}
         if not offered:
             return False
@@ -210,7 +211,8 @@ class _Mending:
                 break
             for slot in regretted:
                 attempt = self.attempts[self.slots.pop(slot)]
-                reason = f"Out again: {missing[slot].sentence}"
+                far, allowed = metres(missing[slot].missed_m), metres(missing[slot].allowed_m)
+                reason = f"Out again: all other ties put its later keyframe {far} away, give or take {allowed}."
                 self.attempts[attempt.keys] = replace(attempt, outcome="refused", reason=reason)
             self.graph = without(self.graph, regretted)
             self.values = optimised(self.graph, self.values)
@@ -269,7 +271,7 @@ def _answer(factor: Any, values: gtsam.Values) -> Attempt:
         alignment=None,
         submaps=None,
         decision=None,
-        outcome="undecided",
+        outcome="confirmed",
         reason="",
         round=0,
     )

@@ -57,7 +57,7 @@ class Attempt:
     pose : gtsam.Pose2 or gtsam.Pose3 or None
         What was measured, of the second key seen from the first; None where nothing was.
     factor : gtsam.BetweenFactorPose2 or gtsam.BetweenFactorPose3 or None
-        The tie, with its noise; None where none was offered to the gate.
+        The tie, with its noise; None where nothing was measured.
     alignment : Alignment or None
     submaps : (Submap, Submap) or None
         What was aligned.

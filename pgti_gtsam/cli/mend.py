@@ -1,0 +1,147 @@
+"""`pgti-gtsam mend`: out with the wrong closures, in with those that the sensors confirm."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+import gtsam
+import typer
+from rich.console import Console
+
+from pgti_gtsam import datasets
+from pgti_gtsam.adapter.values import read_keyframes
+from pgti_gtsam.cli.mend_text import print_mended
+from pgti_gtsam.cli.options import Cloud, IgnoreUnknown, Map, MapFiles, OneMap, Radius, Values, counted, read_map
+from pgti_gtsam.datasets.writer import write_graph
+from pgti_gtsam.errors import InvalidOptionError
+from pgti_gtsam.factor_graphs import BETWEEN, between_factor, factors_of, keys_of
+from pgti_gtsam.mend import Mended, clouds_in, scans_of
+from pgti_gtsam.mend.mending import mend as mended_map
+from pgti_gtsam.report.document import write_json
+from pgti_gtsam.report.mended import mended_document, write_mended_page
+
+
+def mend(
+    file: Map,
+    values: Values = None,
+    one_map: OneMap = False,
+    ignore_unknown: IgnoreUnknown = False,
+    radius: Radius = None,
+    cloud: Cloud = None,
+    clouds: Annotated[
+        Path | None,
+        typer.Option(help="Folder with one PCD or PLY file a keyframe, numbered as the keyframes or in their order."),
+    ] = None,
+    loops: Annotated[
+        Path | None, typer.Option(help="Ties of a matcher or a human, as g2o: the gate judges them, nothing else.")
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Write the mended map: as FILE's format, or g2o where the name ends with .g2o.")
+    ] = None,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would be done, and write no map.")] = False,
+    proposals: Annotated[
+        Path | None, typer.Option(help="Write ties that are wanted and not confirmed to this g2o file, as predicted.")
+    ] = None,
+    json: Annotated[Path | None, typer.Option(help="Write everything found to this JSON file.")] = None,
+    html: Annotated[
+        Path | None, typer.Option(help="Write a page with the map before and after, and all scans.")
+    ] = None,
+) -> None:
+    """Mend a map: out with the closures that the gate rejects, in with those that scans or clouds confirm.
+
+    FLIRTLib and CARMEN files bring their scans; clouds come by --clouds. Without either ties are only proposed.
+    """
+    files = MapFiles(files=file, values=values, one_map=one_map, ignore_unknown=ignore_unknown)
+    files.check_outputs([out, proposals, json, html], cloud, loops)
+    if out is None and not dry_run and proposals is None:
+        raise InvalidOptionError("expected --out FIXED, or --dry-run to write no map, got neither")
+    with counted() as tell:
+        tell("reading", 0, 1)
+        dataset, radii = read_map(files, radius, cloud)
+        keys = read_keyframes(dataset.values).keys.tolist()
+        mended = mended_map(
+            dataset.graph,
+            dataset.values,
+            scans_of(dataset.scans) if clouds is None else clouds_in(clouds, keys),
+            radii=radii,
+            closures=dataset.closures,
+            matched=[] if loops is None else _ties(loops, dataset),
+            progress=lambda step: tell(step, 0, 1),
+        )
+        document = mended_document(
+            mended,
+            dataset.graph,
+            name=dataset.title,
+            file_format=dataset.format,
+            notes=dataset.notes,
+            options={
+                "radius": radius,
+                "clouds": None if clouds is None else clouds.name,
+                "loops": None if loops is None else loops.name,
+                "dry_run": dry_run,
+            },
+            names=dataset.names,
+        )
+
+        # write what was asked for
+        unwritten: Mapping[str, int] = {}
+        if out is not None and not dry_run:
+            unwritten = write_graph(dataset, mended.graph, mended.values, out).unwritten
+        if proposals is not None:
+            graph, poses = _open_ties(mended)
+            datasets.write_g2o(graph, poses, proposals, names=dataset.names)
+        if json is not None:
+            write_json(document, json)
+        if html is not None:
+            write_mended_page(document, html)
+
+    # show it
+    console = Console(highlight=False)
+    print_mended(document, console)
+    for what, count in unwritten.items():
+        console.print(f"left out of the mended map's file: {count} {what}", style="yellow", markup=False)
+    written = {"mended map": None if dry_run else out, "proposals": proposals, "JSON": json, "page": html}
+    for what, path in written.items():
+        if path is not None:
+            console.print(f"{what}: ", path, sep="", style="dim", markup=False, soft_wrap=True)
+
+
+def _open_ties(mended: Mended) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
+    """What is wanted and was not confirmed, as predicted, with the region to search as covariance."""
+    graph, poses, keyframes = gtsam.NonlinearFactorGraph(), gtsam.Values(), read_keyframes(mended.values)
+    for attempt in mended.attempts:
+        if attempt.wanted is None or attempt.outcome == "confirmed":
+            continue
+        region = gtsam.noiseModel.Gaussian.Covariance(attempt.wanted.covariance)
+        graph.push_back(between_factor(*attempt.keys, attempt.wanted.pose, region))
+        for key in attempt.keys:
+            if not poses.exists(key):
+                poses.insert(key, keyframes.pose(key))
+    return graph, poses
+
+
+def _ties(path: Path, dataset: datasets.Dataset) -> list[Any]:
+    """The between factors of a file of ties, on the keys of the map.
+
+    Raises
+    ------
+    InvalidOptionError
+        The file names a keyframe that the map does not have.
+    """
+    keys = read_keyframes(dataset.values).keys.tolist()
+    own = {**{str(key): key for key in keys}, **{name: key for key, name in dataset.names.items()}}
+    by_index = {str(gtsam.Symbol(key).index()): key for key in keys if key >> 56}
+    named = {**(by_index if len(by_index) == len(keys) else {}), **own}
+    ties = datasets.read(path)
+    found = []
+    for factor in factors_of(ties.graph):
+        if not isinstance(factor, BETWEEN):
+            continue
+        ends = [ties.names.get(key, str(key)) for key in keys_of(factor)]
+        unknown = next((end for end in ends if end not in named), None)
+        if unknown is not None:
+            raise InvalidOptionError(f"expected ties between keyframes of the map, got {unknown} in {path}")
+        found.append(between_factor(named[ends[0]], named[ends[1]], factor.measured(), factor.noiseModel()))
+    return found

@@ -1,0 +1,197 @@
+"""A mended map as a JSON document, and the page drawn from the document: before and after on one map.
+
+Clouds travel as whole centimetres, seen from their keyframe and from above.
+"""
+
+from __future__ import annotations
+
+import base64
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from importlib.metadata import version
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import gtsam
+import numpy as np
+
+from pgti_gtsam.adapter.values import read_keyframes
+from pgti_gtsam.datasets import write_g2o
+from pgti_gtsam.diagnosis import Diagnosis
+from pgti_gtsam.factor_graphs import keys_of, slots_of
+from pgti_gtsam.mend import Attempt, Mended
+from pgti_gtsam.pose_graph import EdgeSource, key_label
+from pgti_gtsam.report import web
+from pgti_gtsam.report.document import Document
+
+SCHEMA, SCHEMA_VERSION = "pgti-gtsam/mend", 1
+_SCRIPTS = ("text.js", "errors.js", "plots.js", "mend_plan.js", "mend.js")
+
+DRAWN = 400
+"""Points of a cloud that are kept for the page, evenly drawn."""
+
+NEAR_M = 300.0
+"""Distance beyond which points are left out: int16 holds centimetres up to there."""
+
+
+def mended_document(
+    mended: Mended,
+    graph: gtsam.NonlinearFactorGraph,
+    *,
+    name: str,
+    file_format: str,
+    notes: Sequence[str] = (),
+    options: Mapping[str, Any] | None = None,
+    names: Mapping[int, str] | None = None,
+) -> Document:
+    """Put all that mending found into one JSON-ready mapping.
+
+    Parameters
+    ----------
+    mended : Mended
+    graph : gtsam.NonlinearFactorGraph
+        As it came.
+    name, file_format, notes, options
+        As in `audit_document`.
+    names : mapping of int to str, optional
+        Numbers of variables in the map's file: see `write_g2o`.
+    """
+    pose_graph = mended.before.pose_graph
+    rows = {int(key): k for k, key in enumerate(pose_graph.keys)}
+    order = {"confirmed": 0, "undecided": 1, "refused": 2}
+    attempts = sorted(mended.attempts, key=lambda each: (order[each.outcome], _is_extra(each), sorted(each.keys)))
+    vertices, edges = _g2o(attempts, mended.values, names)
+    return {
+        "schema": SCHEMA,
+        "schema_version": SCHEMA_VERSION,
+        "pgti_gtsam_version": version("pgti-gtsam"),
+        "input": {"name": name, "format": file_format, "notes": list(notes)},
+        "options": dict(options or {}),
+        "n_rounds": mended.n_rounds,
+        "before": _side(mended.before, mended.before_values),
+        "after": _side(mended.after, mended.values),
+        "keyframes": {"label": pose_graph.labels},
+        "odometry": pose_graph.edges[pose_graph.edge_sources & EdgeSource.ODOMETRY > 0].tolist(),
+        "kept": _kept(mended, graph),
+        "out": [
+            {
+                "slot": slot,
+                "keyframes": [rows[key] for key in keys_of(graph.at(slot)) if key in rows],
+                "verdict": decision.verdict,
+                "probability": None if np.isnan(decision.log_odds) else decision.probability,
+                "reason": " ".join(decision.reasons[:1]),
+            }
+            for slot, decision in sorted(mended.out.items(), key=lambda item: np.nan_to_num(item[1].log_odds, nan=0.0))
+        ],
+        "attempts": [{**_attempt(each, rows), "g2o": edge} for each, edge in zip(attempts, edges, strict=True)],
+        "g2o_vertices": vertices,
+    }
+
+
+def write_mended_page(document: Mapping[str, Any], path: Path | str) -> None:
+    """Write one HTML file that needs no network; see `web.assembled` for what is raised."""
+    web.require_schema(document, SCHEMA, SCHEMA_VERSION)
+    page = web.assembled(document, what="map mended", body="mend.html", first="attempts", scripts=_SCRIPTS)
+    Path(path).write_bytes(page.encode("utf-8"))
+
+
+def _side(diagnosis: Diagnosis, values: gtsam.Values) -> Document:
+    integrity, keyframes = diagnosis.integrity, read_keyframes(values)
+    return {
+        "verdict": {"level": diagnosis.verdict, "text": diagnosis.reason},
+        "places": dict(Counter(place.kind for place in diagnosis.places)),
+        "n_collisions": len(integrity.collision_edges),
+        "n_closures": len(diagnosis.closures),
+        "score": "infinite" if np.isinf(integrity.score) else integrity.score,
+        "collision_score": "infinite" if np.isinf(integrity.collisions.score) else integrity.collisions.score,
+        "position": np.round(diagnosis.pose_graph.positions, 3).tolist(),
+        "pose": [_planar(keyframes.pose(key)) for key in diagnosis.pose_graph.keys.tolist()],
+        "stretches": [
+            {"kind": place.kind, "keyframes": place.revisit.keyframes.tolist()}
+            for place in diagnosis.places
+            if place.kind != "incomplete fusion"
+        ],
+    }
+
+
+def _kept(mended: Mended, graph: gtsam.NonlinearFactorGraph) -> list[list[int]]:
+    """Keyframes of the map's own closures that stayed."""
+    own = {closure.slot: closure.keyframes for closure in mended.after.closures}
+    return [list(own[slot]) for slot, _ in slots_of(graph) if slot in own]
+
+
+def _attempt(attempt: Attempt, rows: Mapping[int, int]) -> Document:
+    wanted, fit = attempt.wanted, attempt.alignment
+    off = None if wanted is None or attempt.pose is None else wanted.pose.between(attempt.pose)
+    return {
+        "keyframes": [rows[key] for key in attempt.keys],
+        "labels": [key_label(key) for key in attempt.keys],
+        "outcome": attempt.outcome,
+        "reason": attempt.reason,
+        "round": attempt.round,
+        "place": None if wanted is None else wanted.place,
+        "allowance_m": None if wanted is None else wanted.allowance_m,
+        "predicted": None if wanted is None else _planar(wanted.pose),
+        "measured": None if attempt.pose is None else _planar(attempt.pose),
+        "moved_m": None if off is None else float(np.linalg.norm(off.translation())),
+        "moved_deg": None if off is None else _degrees(off),
+        "agreement": None if fit is None else fit.view.agreement,
+        "seen": None if fit is None else fit.view.seen,
+        "matched": None if fit is None else fit.matched,
+        "residual_m": None if fit is None else fit.residual_m,
+        "stiffness": None if fit is None else np.linalg.eigvalsh(fit.stiffness).tolist(),
+        "probability": None if attempt.decision is None else _known(attempt.decision.probability),
+        "clouds": None if attempt.submaps is None else [_packed(submap.view) for submap in attempt.submaps],
+    }
+
+
+def _is_extra(attempt: Attempt) -> bool:
+    """Whether a tie belongs to none of the audit's places."""
+    return attempt.wanted is not None and attempt.wanted.place is None
+
+
+def _known(probability: float) -> float | None:
+    return None if np.isnan(probability) else probability
+
+
+def _planar(pose: Any) -> list[float]:
+    """x and y in m and heading in rad, seen from above."""
+    heading = pose.theta() if isinstance(pose, gtsam.Pose2) else pose.rotation().yaw()
+    return [round(float(value), 5) for value in (pose.x(), pose.y(), heading)]
+
+
+def _degrees(pose: Any) -> float:
+    turn = pose.rotation()
+    angle = turn.theta() if isinstance(pose, gtsam.Pose2) else np.linalg.norm(gtsam.Rot3.Logmap(turn))
+    return float(np.degrees(abs(angle)))
+
+
+def _packed(points: Any) -> str:
+    """Points seen from above, in cm, as base64 of little-endian int16."""
+    near = points[(np.abs(points[:, :2]) < NEAR_M).all(axis=1), :2]
+    some = near[np.unique(np.linspace(0, max(len(near) - 1, 0), DRAWN).round().astype(int))] if len(near) else near
+    return base64.b64encode(np.round(100 * some).astype("<i2").tobytes()).decode()
+
+
+def _g2o(
+    attempts: Sequence[Attempt], values: gtsam.Values, names: Mapping[int, str] | None
+) -> tuple[list[str], list[str | None]]:
+    """Lines of the vertices of all attempts and of each one's edge, None where nothing was measured."""
+    graph, poses = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    keyframes = read_keyframes(values)
+    for attempt in attempts:
+        if attempt.factor is not None:
+            graph.push_back(attempt.factor)
+            for key in attempt.keys:
+                if not poses.exists(key):
+                    poses.insert(key, keyframes.pose(key))
+    if not graph.size():
+        return [], [None] * len(attempts)
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "ties.g2o"
+        write_g2o(graph, poses, path, names=names)
+        lines = path.read_text(encoding="utf-8").splitlines()
+    edges = iter([line for line in lines if line.startswith("EDGE")])
+    vertices = [line for line in lines if line.startswith("VERTEX")]
+    return vertices, [None if attempt.factor is None else next(edges) for attempt in attempts]
