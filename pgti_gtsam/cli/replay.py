@@ -91,8 +91,10 @@ def _print(document: Mapping[str, Any], console: Console) -> None:
     for field, row in zip(METRICS, document["lags"], strict=True):
         curve = [float("inf") if value == "infinite" else value for value in moments[field]]
         peak = max(range(len(curve)), key=curve.__getitem__)
-        cells = (curve[-1], curve[peak], moments["n_keyframes"][peak], row["lag"], row["correlation"], row["at_zero"])
-        table.add_row(row["metric"], *("–" if cell is None else f"{cell:.3g}" for cell in cells))
+        numbers = (curve[-1], curve[peak]), (row["correlation"], row["at_zero"])
+        (end, top), (best, at_once) = (["–" if x is None else f"{x:.3g}" for x in pair] for pair in numbers)
+        lag = "–" if row["lag"] is None else str(row["lag"])
+        table.add_row(row["metric"], end, top, str(moments["n_keyframes"][peak]), lag, best, at_once)
     inserted = sum(new > 0 for new in moments["n_new"])
     console.print(Text.assemble((document["input"]["name"], "bold"), f", {moments['n_keyframes'][-1]} keyframes"))
     counts = f"{moments['n_inserted'][-1]} inserted edges, {moments['n_collisions'][-1]} of them collisions"

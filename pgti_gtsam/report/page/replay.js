@@ -150,7 +150,7 @@ function drawCurves() {
     ...plainLayout(), hovermode: "x unified", showlegend: true, margin: { l: 58, r: 12, t: 20, b: 44 },
     xaxis: flatAxis("keyframes", { anchor: "y4", tickformat: ",d" }),
     yaxis: scale("score", tops[0]), yaxis2: scale("at worst", tops[1]), yaxis3: scale("part of max", tops[2]),
-    yaxis4: scale("edges", tops[3]), shapes: [upright(x[state.moment])],
+    yaxis4: { ...scale("edges", tops[3]), tickformat: ",d" }, shapes: [upright(x[state.moment])],
     legend: legend(tops[0]), legend2: legend(tops[1]), legend3: legend(tops[2]), legend4: legend(tops[3]),
   };
   return Plotly.react("curves", traces, layout, plotConfig);
