@@ -1,5 +1,7 @@
 """Pose-Graph Topological Integrity for GTSAM factor graphs: is this map right, and where not?"""
 
+from importlib.metadata import version
+
 from pgti_gtsam.adapter import from_gtsam
 from pgti_gtsam.diagnosis import ClosureFinding, Diagnosis, Place, Proposal, diagnose
 from pgti_gtsam.errors import PgtiError
@@ -17,6 +19,8 @@ from pgti_gtsam.mend import Clouds, Mended, clouds_in, mend, scans_of
 from pgti_gtsam.new_ties import NewTie, best_revisits
 from pgti_gtsam.pose_graph import Adaptation, EdgeSource, PoseGraph
 from pgti_gtsam.replay import Measure, Moment, Replay, replay
+
+__version__ = version("pgti-gtsam")
 
 __all__ = [
     "Adaptation",

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from gtsam.symbol_shorthand import X
 
+import pgti_gtsam
 from pgti_gtsam import datasets
 from pgti_gtsam.datasets import formats
 
@@ -202,3 +203,10 @@ def test_real_maps_are_audited(run, tmp_path, name, options, n_keyframes):
     found = tmp_path / "found.json"
     assert run("audit", DATA / name, *options, "--json", found)[0] == 0
     assert json.loads(found.read_text())["summary"]["n_keyframes"] == n_keyframes
+
+
+def test_version_and_short_help(run):
+    assert run("--version")[1].strip() == f"pgti-gtsam {pgti_gtsam.__version__}"
+    code, out, _ = run("audit", "-h")
+    assert code == 0
+    assert "--radius" in out

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import sys
+from typing import Annotated
 
 import typer
 from rich.console import Console
 
+from pgti_gtsam import __version__
 from pgti_gtsam.cli.audit import audit, view
 from pgti_gtsam.cli.diffusion import diffusion
 from pgti_gtsam.cli.gate import closures, gate
@@ -15,11 +17,26 @@ from pgti_gtsam.cli.options import READ_NOTES
 from pgti_gtsam.cli.replay import replay
 from pgti_gtsam.errors import PgtiError
 
-app = typer.Typer(add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode=None)
+app = typer.Typer(
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+def _tell_version(*, asked: bool) -> None:
+    if asked:
+        print(f"pgti-gtsam {__version__}")  # noqa: T201
+        raise typer.Exit
 
 
 @app.callback()
-def describe() -> None:
+def describe(
+    version: Annotated[
+        bool, typer.Option("--version", callback=lambda asked: _tell_version(asked=asked), is_eager=True)
+    ] = False,
+) -> None:
     """Is this map right, and where not? Pose-graph topological integrity of SLAM maps."""
 
 

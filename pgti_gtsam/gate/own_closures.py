@@ -10,8 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import expit
-from scipy.stats import chi2
+from scipy.special import chdtri, expit
 
 from pgti_gtsam.gate.drift_model import DriftModel
 from pgti_gtsam.gate.left_out import left_out, left_out_together
@@ -165,5 +164,5 @@ def poorer_odometry(model: DriftModel, missed: Array, others: Array) -> float:
     tolerance = np.diag(model.variances(OFFSET, OFFSET_RAD))
     squares = np.einsum("ka,ka->k", missed, np.linalg.solve(others + tolerance, missed[:, :, None])[:, :, 0])
     known = squares[np.isfinite(squares)]
-    usual = chi2.median(missed.shape[1])
+    usual = float(chdtri(missed.shape[1], 0.5))  # the median of χ²
     return float(np.clip(np.median(known) / usual, 1.0, POOREST)) if len(known) else 1.0

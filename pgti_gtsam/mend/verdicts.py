@@ -12,7 +12,7 @@ from typing import Any
 import gtsam
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from pgti_gtsam.factor_graphs import BETWEEN, between_factor
 from pgti_gtsam.gate.decision import metres
@@ -92,7 +92,7 @@ def _off(wanted: Wanted, alignment: Alignment, unit_m: float) -> tuple[float, bo
     is_planar = len(off) == 3
     spread = wanted.covariance + np.diag(variances_of(OFFSET * unit_m, OFFSET_RAD, is_planar=is_planar))
     square = float(off @ np.linalg.solve(spread, off))
-    return float(np.linalg.norm(off[translation_of(is_planar)])), square > chi2.ppf(BEYOND, len(off))
+    return float(np.linalg.norm(off[translation_of(is_planar)])), square > float(chdtri(len(off), 1 - BEYOND))
 
 
 def tie(wanted: Wanted, alignment: Alignment, unit_m: float, sigma_unit: float) -> Any:
