@@ -5,7 +5,7 @@ import pytest
 
 import pgti_gtsam as pgti
 from scenarios import paper
-from scenarios.paper import growth, revisits, rows, table, texture, ways
+from scenarios.paper import beyond, growth, revisits, rows, table, texture, ways
 
 
 def test_keyframes_lie_evenly_along_the_way():
@@ -109,6 +109,20 @@ def test_the_report_has_all_tables(monkeypatch, tmp_path):
     assert {path.name for path in tmp_path.iterdir()} == {"paper.json", "figure_6.png", "growth.png"}
     text = "\n".join(paper.report(found))
     assert all(word in text for word in ("(d) Campus-9", "crossing", "dense map", "ΔẼ"))
+
+
+def test_metric_and_topological_errors_disagree_both_ways():
+    rows = {(row["what"], row["map"]): row for row in beyond.control_points()}
+    drifted, untied = rows["open way, scale drifts", "odometry"], rows["second pass untied, right", "odometry"]
+    assert (drifted["ate_m"] > 5, drifted["score"]) == (True, 0)
+    assert (untied["ate_m"] < 1e-9, untied["score"] > 1) == (True, True)
+    assert rows["open way, scale drifts", "with control points"]["ate_m"] < 0.2 * drifted["ate_m"]
+
+
+def test_two_robots_are_one_map_once_tied():
+    alone, other, *merged = beyond.robots()
+    assert alone["n_inserted"] == other["n_inserted"] == 0
+    assert [row["n_collisions"] > 0 for row in merged] == [True, False, False]
 
 
 CURVES = {"bursts": [(13, 13)], "lags": [{"lag": 0, "correlation": 1.0, "at_zero": 1.0}] * 9}

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from scenarios.paper import curves, growth, table, texture
+from scenarios.paper import beyond, curves, growth, table, texture
 from scenarios.paper.figure import draw_growth, draw_maps
 
 FALSE_LOOP_SEED = 0
@@ -24,6 +24,8 @@ def run(data: Path | None, folder: Path, tell: Callable[[str], None]) -> dict[st
     tell("section 7: growth, texture")
     found["growth"] = growth.run(tell)
     found["texture"] = texture.run()
+    tell("section 8: robots, control points")
+    found |= {"robots": beyond.robots(), "control_points": beyond.control_points()}
 
     # written first, drawn from what was written
     path = folder / "paper.json"
@@ -54,4 +56,8 @@ def report(found: dict[str, Any]) -> list[str]:
         *growth.markdown(found["growth"]),
         "\nplaces without texture\n",
         *texture.markdown(found["texture"]),
+        "\ntwo robots\n",
+        *beyond.robots_markdown(found["robots"]),
+        "\ncontrol points\n",
+        *beyond.control_markdown(found["control_points"]),
     ]

@@ -34,6 +34,7 @@ def winding(seed: int, n: int) -> Positions:
 
 def run(n_maps: int, n: int, path: Path, tell: Callable[[str], None]) -> list[dict[str, Any]]:
     """Both ways on drawn maps: which tie each finds, and the processor time of each; known lines are kept."""
+    path.parent.mkdir(parents=True, exist_ok=True)
     lines = path.read_text(encoding="utf-8").splitlines() if path.is_file() else []
     found = [json.loads(line) for line in lines]
     seed = found[-1]["seed"] + 1 if found else FIRST_SEED
