@@ -30,7 +30,7 @@ def found(spikes):
 
 def test_every_score_of_a_keyframe_rises_at_a_false_closure_more_than_at_a_true_one(spikes, found):
     true, false = found
-    assert set(true) == set(false) == set(spikes.SPIKES)
+    assert set(true) == set(false) == {*spikes.SPIKES, "allowed"}
     for name in ("keyframe", "keyframe_global", "stable", "contact"):
         assert false[name] > 1.5 * max(true[name], 0.0)
 
@@ -51,7 +51,7 @@ def test_tables_follow_from_the_rises(spikes):
 
     def candidate(is_true, k):
         apart = {name: float(k if is_true else 100 + k) for name in spikes.SPIKES}
-        return {"true": is_true, "overlapping": True} | apart | {"score": float(2 * k + is_true)}
+        return {"true": is_true, "overlapping": True, "allowed": 0.5} | apart | {"score": float(2 * k + is_true)}
 
     candidates = [candidate(is_true, k) for is_true in (True, False) for k in range(10)]
     rows = [{"map": "fr079", "seed": seed, "candidates": candidates} for seed in (0, spikes.TRAINING)]

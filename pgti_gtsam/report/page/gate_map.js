@@ -44,8 +44,9 @@ function drawMap() {
   return Plotly.react("map", traces, spaceLayout(camera), mapConfig);
 }
 
+/** Show the closures that the filter leaves: all at once, for plotly draws the whole map anew. */
 const showLayers = () =>
-  Promise.all(verdicts.map((verdict) => Plotly.restyle("map", { visible: state.shown.has(verdict) }, [layers[verdict]])));
+  Plotly.restyle("map", { visible: verdicts.map((name) => state.shown.has(name)) }, verdicts.map((name) => layers[name]));
 
 /** The closure under a click, or null. */
 function clickedClosure({ curveNumber, pointNumber }) {
