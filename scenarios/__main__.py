@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from pgti_gtsam.errors import InvalidOptionError, PgtiError
-from scenarios import kitti, sweep, worlds
+from scenarios import kitti, paper, sweep, worlds
 from scenarios import scans as scan_graphs
 from scenarios import speed as speed_experiment
 from scenarios import spikes as spikes_experiment
@@ -21,6 +21,7 @@ from scenarios.diagnosis import maps as diagnosed_maps
 from scenarios.diagnosis import narrow as narrow_cameras
 from scenarios.diagnosis import tables as diagnosis_tables
 from scenarios.diagnosis import trials as diagnosis_trials
+from scenarios.paper import revisits
 from scenarios.worlds.layouts import LAYOUTS
 
 RESULTS = Path(__file__).parent / "results"
@@ -200,6 +201,32 @@ def which_score_spikes(
     wanted = spikes_experiment.trials(list(LAYOUTS), _whole_numbers(training) + _whole_numbers(seeds), data)
     for line in spikes_experiment.report(sweep.run(out, wanted, spikes_experiment.row, scheduler, print, data=data)):
         print(line)
+    print(f"results: {out}")
+
+
+@app.command("paper")
+def paper_from_scratch(
+    data: Annotated[
+        Path | None, typer.Option(help="Folder of all data; row (a) on the true way of KITTI 00 too.")
+    ] = None,
+    out: Annotated[Path, typer.Option(help="Folder of the figures and the JSON.")] = RESULTS / "paper",
+) -> None:
+    """The paper's curves, Table 4 and Figure 6 from scratch, and its limits: growth, texture. Three minutes."""
+    for line in paper.report(paper.run(data, out, tell=print)):
+        print(line)
+    print(f"results: {out}")
+
+
+@app.command("best-revisits")
+def best_new_ties(
+    n_maps: Annotated[int, typer.Option("--maps", help="Drawn maps.")] = 50,
+    n_keyframes: Annotated[int, typer.Option("--keyframes", help="Keyframes of each.")] = 300,
+    out: Annotated[Path, typer.Option(help="A JSON line a map; known ones are kept.")] = RESULTS
+    / "paper"
+    / "revisits.jsonl",
+) -> None:
+    """Which new tie would lower Λ most, by low-rank updates and by trying all. Ten minutes."""
+    print(revisits.summary(revisits.run(n_maps, n_keyframes, out, tell=print)))
     print(f"results: {out}")
 
 
