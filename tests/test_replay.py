@@ -3,6 +3,7 @@
 import json
 import re
 import sys
+import time
 
 import gtsam
 import numpy as np
@@ -82,6 +83,20 @@ def test_every_value_is_that_of_a_fresh_assessment():
         assert {name: getattr(found, name) for name in METRICS} == pytest.approx(expected, abs=1e-9)
         assert (found.n_inserted, found.n_collisions) == (len(fresh.inserted_edges), len(fresh.collision_edges))
         assert found.keyframe_scores == pytest.approx(fresh.keyframe_scores, rel=1e-6, abs=1e-9)
+
+
+@pytest.mark.slow
+def test_a_thousand_keyframes_with_15_000_edges_take_less_than_three_minutes_of_two_cores():
+    pose_graph = eights(1000, neighbours=15, drift=0.004, radius=0.1)
+    assert len(pose_graph.edges) == pytest.approx(15_000, rel=0.02)
+    started = time.process_time()
+    replay = replay_graph(pose_graph)
+    assert time.process_time() - started < 2 * 180
+    assert (replay.curve("n_collisions") > 0).mean() > 0.3
+    for k in np.random.default_rng(0).choice(len(pose_graph), 20, replace=False):
+        fresh = pgti.assess(first(pose_graph, k + 1))
+        assert replay.moments[k].score == pytest.approx(fresh.score, abs=1e-9)
+        assert replay.moments[k].e == pytest.approx(fresh.optimality.change.e, abs=1e-9)
 
 
 @pytest.mark.parametrize("seed", range(6))
