@@ -17,6 +17,7 @@ import numpy as np
 from pgti_gtsam.adapter import from_gtsam
 from pgti_gtsam.diagnosis import words
 from pgti_gtsam.diagnosis.contacts import Contacts
+from pgti_gtsam.diagnosis.evidence import counted_once
 from pgti_gtsam.diagnosis.records import ClosureFinding, Diagnosis, Place, Proposal
 from pgti_gtsam.errors import UnsolvableGraphError
 from pgti_gtsam.estimate import Convergence, convergence
@@ -73,7 +74,7 @@ def diagnose(
     integrity = assess(pose_graph, beta=beta)
 
     progress("weighing closures")
-    model = drift_model(graph, values, pose_graph)
+    model = drift_model(graph, values, counted_once(pose_graph))
     judged = own_closures(model)
 
     progress("places")

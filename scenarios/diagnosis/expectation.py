@@ -3,8 +3,11 @@
 A contact of a map is two stretches of track whose spheres meet although the way between them is longer than the spheres
 reach. It is *real* if the two stretches, widened by five keyframes, come within 1.3 times the sum of their radii in the
 truth, else it is chance. A pair of keyframes of a real contact is *tied* if a true closure lies within ten keyframes
-of both, or if even poor odometry would carry the relative position from one to the other along the shortest way of
-true ties more exactly than their spheres reach. Where the world is known, pairs that a surface parts need no tie.
+of both, or if all true ties together hold the relative position more exactly than their spheres reach even where
+odometry is poor. Where the world is known, pairs that a surface parts need no tie.
+
+"All ties together" matters. A stretch that is tied at both ends is held like a beam that is clamped at both: in its
+middle it gives less than half of what either end alone would leave to it, let alone one end by the shortest way.
 """
 
 from __future__ import annotations
@@ -12,31 +15,23 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy import sparse
-from scipy.sparse import csgraph
 from scipy.spatial.distance import cdist
 
 from pgti_gtsam.pose_graph import EdgeSource, PoseGraph
 from scenarios.diagnosis.damage import Case
+from scenarios.diagnosis.held import Held
 from scenarios.diagnosis.stretches import REAL_WITHIN, Pairs, grouped, nearest, stretches
 from scenarios.worlds.solid import Array
 
 BESIDE = 10
-"""Keyframes on either stretch within which a closure ties."""
+"""Keyframes on either stretch within which a closure ties. What nearer neighbours on the track see in common is what
+the odometry is made of, and no tie of its own."""
 
 LOOSE = 1.0
 """Standard deviation of poor odometry, in the sum of the radii, beyond which a second pass is not tied."""
 
 ASKED = 12
 """Pairs at most of every contact that are asked for their ties."""
-
-POOR, MATCH, MATCH_RAD = 0.03, 0.125, 0.075
-"""Standard deviations of poor odometry after one ρ, in ρ and rad, and of a closure, in ρ and in rad; ρ is the median
-radius. The package grants the same: a map is tied if it need not be trusted further than that."""
-
-LEAST_STEP = 0.05
-"""Least length of a step, in ρ."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -49,8 +44,8 @@ class Expectation:
     n_real, n_chance, n_untied : int
         Contacts of the map; the untied ones are real, and in sight of each other.
     loosest : float
-        Largest standard deviation of poor odometry along the ties between the two stretches of a real contact that no
-        closure ties near by, in the sum of the radii; 0 without any.
+        Largest standard deviation that the ties leave to the two stretches of a real contact that no closure ties near
+        by, in the sum of the radii; 0 without any.
     nearest_chance : float
         How near in truth, in the sum of their radii, the two stretches of a chance contact come that come nearest;
         infinite without any.
@@ -100,54 +95,28 @@ def _contacts(case: Case, pose_graph: PoseGraph) -> list[Pairs]:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Ties:
-    """True ties of a map: its closures, and the net of all with their lengths in ρ."""
+    """True ties of a map: its closures, and how all of them hold it together."""
 
     closures: Pairs
-    closing: frozenset[tuple[int, int]]
-    net: sparse.csr_array
-    places: Array
-    reach: Array
+    held: Held
+    radii: Array
 
     @classmethod
     def of(cls, case: Case, pose_graph: PoseGraph) -> _Ties:
         false = _false_pairs(case, pose_graph)
+        steps = _measured(pose_graph, false, odometry=True)
         closures = _measured(pose_graph, false, odometry=False)
-        ties = np.concatenate([_measured(pose_graph, false, odometry=True), closures])
+        far = closures[np.diff(closures, axis=1)[:, 0] > BESIDE]
         unit = float(np.median(pose_graph.radii[pose_graph.radii > 0]))
-        lengths = np.linalg.norm(np.diff(case.places[ties], axis=1)[:, 0], axis=1) / unit
-        n = len(pose_graph)
-        net = sparse.coo_array((np.maximum(lengths, LEAST_STEP), ties.T), shape=(n, n)).tocsr()
-        closing = frozenset((i, j) for i, j in closures.tolist())
-        return cls(
-            closures=closures, closing=closing, net=net, places=case.places / unit, reach=pose_graph.radii / unit
-        )
+        axes = np.ptp(case.places, axis=0) > 0  # a drive in the plane knows no height
+        held = Held.by(case.places[:, axes] / unit, steps, far)
+        return cls(closures=closures, held=held, radii=pose_graph.radii / unit)
 
     def looseness(self, pairs: Pairs) -> float:
         """Largest standard deviation between pairs that no closure ties near by, in what their spheres reach."""
-        far = [pair for pair in pairs.tolist() if not (np.abs(self.closures - pair) <= BESIDE).all(axis=1).any()]
-        if not far:
-            return 0.0
-        starts = np.array(far)[:, 0]
-        _, before = csgraph.dijkstra(self.net, directed=False, indices=starts, return_predecessors=True)
-        found = [_along(self.places, row, pair, self.closing) for row, pair in zip(before, far, strict=True)]
-        return float((np.array(found) / self.reach[far].sum(axis=1)).max())
-
-
-def _along(places: Array, before: NDArray[np.int32], pair: list[int], closing: frozenset[tuple[int, int]]) -> float:
-    """Standard deviation of the position of j seen from i along a way of ties, in ρ: Σ σ² (1 + lever²)."""
-    i, j = pair
-    squares, here = 0.0, j
-    while here != i:
-        there = int(before[here])
-        if there < 0:
-            return np.inf
-        lever = float(np.square(places[here] - places[j]).sum())
-        if (min(here, there), max(here, there)) in closing:
-            squares += MATCH**2 + MATCH_RAD**2 * lever
-        else:
-            squares += POOR**2 * max(float(np.linalg.norm(places[here] - places[there])), LEAST_STEP) * (1 + lever)
-        here = there
-    return float(np.sqrt(squares))
+        near = (np.abs(self.closures[:, None] - pairs) <= BESIDE).all(axis=2).any(axis=0)
+        far = pairs[~near]
+        return float((self.held.deviations(far) / self.radii[far].sum(axis=1)).max(initial=0.0))
 
 
 def _measured(pose_graph: PoseGraph, false: Pairs, *, odometry: bool) -> Pairs:
