@@ -185,6 +185,46 @@ def test_an_image_without_points_does_not_shift_the_lines_of_a_text_model(tmp_pa
     assert any("1 keyframes see no point" in note for note in dataset.notes)
 
 
+def test_a_model_is_found_from_where_one_stands(tmp_path, monkeypatch):
+    """In its own folder, above it, in ``sparse``; the map is called like the folder, not like a file in it."""
+    folder = tmp_path / "street" / "sparse" / "0"
+    folder.mkdir(parents=True)
+    write_colmap(Model(), folder, ".bin")
+    monkeypatch.chdir(folder)
+    found = [datasets.read(path) for path in (".", "images.bin", "points3D.bin", "..", "../..", tmp_path / "street")]
+    assert [dataset.name for dataset in found] == ["0", "0", "0", "sparse", "street", "street"]
+    assert all(dataset.graph.equals(found[0].graph, 1e-9) for dataset in found)
+
+
+def test_a_camera_without_a_direction_is_named_with_its_line(tmp_path):
+    write_colmap(Model(), tmp_path, ".txt")
+    lines = (tmp_path / "images.txt").read_text().splitlines()
+    first = next(k for k, line in enumerate(lines) if not line.startswith("#"))
+    fields = lines[first].split()
+    lines[first] = " ".join([fields[0], "0", "0", "0", "0", *fields[5:]])
+    (tmp_path / "images.txt").write_text("\n".join(lines) + "\n")
+    with pytest.raises(FileFormatError, match=f"images.txt, line {first + 1}: expected a unit quaternion QW QX QY QZ"):
+        datasets.read(tmp_path)
+
+
+def test_an_observation_of_a_camera_that_is_not_there_is_refused(tmp_path):
+    write_bal(Model(), tmp_path / "map.txt")
+    lines = (tmp_path / "map.txt").read_text().splitlines()
+    lines[3] = " ".join(["77", *lines[3].split()[1:]])
+    (tmp_path / "map.txt").write_text("\n".join(lines) + "\n")
+    with pytest.raises(FileFormatError, match="line 4: expected cameras from 0 to 4 and points from 0 to 11"):
+        datasets.read(tmp_path / "map.txt")
+
+
+def test_models_are_laid_side_by_side(tmp_path):
+    for name in ("one", "two"):
+        (tmp_path / name).mkdir()
+        write_colmap(Model(), tmp_path / name, ".bin")
+    dataset = datasets.read_one_map([tmp_path / "one", tmp_path / "two"])
+    assert len(poses_of(dataset.values)) == 2 * len(Model().poses)
+    assert dataset.closures == ()
+
+
 def test_the_tree_of_stella_ties_and_its_loop_edges_are_closures(tmp_path):
     write_stella(Model(), tmp_path / "map.msg")
     dataset = datasets.read(tmp_path / "map.msg")

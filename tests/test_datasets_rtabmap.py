@@ -1,5 +1,6 @@
 """RTAB-Map databases, made by sqlite3 after the documented schema."""
 
+import gzip
 import json
 import sqlite3
 import struct
@@ -186,3 +187,40 @@ def test_a_database_is_audited_and_gated_and_its_rejected_links_are_named(run, l
     rows = {tuple(map(int, line.split())) for line in (tmp_path / "rejected.txt").read_text().splitlines()}
     assert rows == {(j + 1, i + 1) for i, j in FALSE}
     assert laps.read_bytes() == before
+
+
+def test_links_of_an_unknown_type_are_refused_or_counted(tmp_path):
+    database = Database(tmp_path / "map.db")
+    for i in range(4):
+        database.node(i + 1, truth(i))
+    for i in range(3):
+        database.link(i + 1, i + 2, 0, truth(i).between(truth(i + 1)))
+    database.link(4, 1, 77, truth(3).between(truth(0)))
+    database.close()
+    with pytest.raises(FileFormatError, match="not known: 1 of type 77; leave them out with --ignore-unknown"):
+        datasets.read(tmp_path / "map.db")
+    dataset = datasets.read(tmp_path / "map.db", ignore_unknown=True)
+    assert (dataset.graph.size(), dataset.ignored_edges) == (3, 1)
+
+
+def test_a_compressed_database_is_read_as_it_is(laps, tmp_path):
+    path = tmp_path / "packed.db.gz"
+    path.write_bytes(gzip.compress(laps.read_bytes()))
+    assert datasets.read(path).graph.equals(datasets.read(laps).graph, 1e-12)
+
+
+@pytest.mark.parametrize(
+    ("tables", "message"),
+    [
+        (("topics", "messages"), "is a ROS bag"),
+        (("keyframes", "landmarks"), "a map of stella_vslam in SQLite.*save it as .msg"),
+        (("Node (id, map_id, pose)", "Link (from_id, to_id)"), "no such column.*rtabmap-databaseViewer"),
+    ],
+)
+def test_other_databases_are_named(tmp_path, tables, message):
+    connection = sqlite3.connect(tmp_path / "other.db")
+    for table in tables:
+        connection.execute(f"CREATE TABLE {table if '(' in table else f'{table} (id)'}")
+    connection.close()
+    with pytest.raises(FileFormatError, match=message):
+        datasets.read(tmp_path / "other.db")

@@ -73,7 +73,7 @@ def test_a_loop_measures_what_its_line_says(tmp_path):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("0 99\n", "two indices or timestamps"),
+        ("0 99\n", "by indices from 0 to 11 or timestamps"),
         ("3 3\n", "a loop between two poses"),
         ("0\n", "expected 2 or 5 or 9 or 14 fields"),
         ("0 9 1 2 0 0 0 0 0\n", "unit quaternion"),
@@ -86,6 +86,16 @@ def test_a_malformed_list_of_loops_is_named_with_its_line(tmp_path, text, messag
     (tmp_path / "loops.txt").write_text(text)
     with pytest.raises(FileFormatError, match=rf"loops.txt, line 1: .*{message}"):
         datasets.read(tmp_path / "poses.txt", loops=tmp_path / "loops.txt")
+
+
+@pytest.mark.parametrize(("text", "pairs"), [("0,9\n2,11\n", [(0, 9), (2, 11)]), ("3 4\n", [(3, 4)]), ("\n", [])])
+def test_a_list_of_loops_is_taken_at_its_word(tmp_path, text, pairs):
+    """Between commas, between neighbours, or naming none."""
+    poses, times = drawn(3)
+    write(tmp_path / "poses.txt", poses, times, "TUM")
+    (tmp_path / "loops.txt").write_text(text)
+    dataset = datasets.read(tmp_path / "poses.txt", loops=tmp_path / "loops.txt")
+    assert [tuple(dataset.graph.at(slot).keys()) for slot in dataset.closures] == pairs
 
 
 def test_loops_belong_to_trajectories_only(tmp_path):

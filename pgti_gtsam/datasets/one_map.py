@@ -38,14 +38,14 @@ def read_one_map(paths: Sequence[Path], *, ignore_unknown: bool = False) -> Data
     Raises
     ------
     InvalidOptionError
-        Fewer than two files, or more than there are letters.
+        Fewer than two files, more than there are letters, or planar files beside spatial ones.
     FileFormatError
         As of `read`.
     """
     if not 2 <= len(paths) <= len(LETTERS):
         raise InvalidOptionError(f"expected 2 to {len(LETTERS)} files of one map, got {len(paths)}")
     sources = [Source(path=path, ignore_unknown=ignore_unknown) for path in paths]
-    if all(b"\0" not in source.head for source in sources) and _is_disjoint([source.file for source in sources]):
+    if all(source.is_text for source in sources) and _is_disjoint([source.file for source in sources]):
         joined = Source(path=paths[0], more=tuple(paths[1:]), ignore_unknown=ignore_unknown)
         return read_source(joined)
     return _side_by_side([read(path, ignore_unknown=ignore_unknown) for path in paths])
@@ -65,6 +65,9 @@ def _is_disjoint(files: Sequence[TextFile]) -> bool:
 
 def _side_by_side(datasets: Sequence[Dataset]) -> Dataset:
     """One dataset whose keys tell by their letter which one they come from."""
+    kinds = {type(pose).__name__ for dataset in datasets for pose in poses_of(dataset.values).values()}
+    if len(kinds) > 1:
+        raise InvalidOptionError("expected files of one map, got poses in the plane in some and in space in others")
     graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
     radii: dict[int, float] = {}
     closures: list[int] = []

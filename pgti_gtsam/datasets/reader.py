@@ -64,6 +64,8 @@ def read(
         ignore_unknown=ignore_unknown,
     )
     dataset = read_source(source)
+    if source.is_folder:
+        return dataset
     return robust_slam.with_truth(robust_slam.with_labels(dataset, source.path), source.path, read_plain)
 
 

@@ -54,7 +54,7 @@ def sparse_model(
     # sightings of what the model holds, each once
     seen = np.unique(seen.reshape(-1, 2), axis=0)
     is_known = np.isin(seen[:, 0], list(poses)) & np.isin(seen[:, 1], list(points))
-    seen = seen[is_known]
+    n_stray, seen = int((~is_known).sum()), seen[is_known]
     if not len(seen):
         raise source.error(f"expected keyframes that see points, got {len(poses)} and {len(points)} without a sighting")
     graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
@@ -79,7 +79,7 @@ def sparse_model(
         graph=graph,
         values=values,
         closures=tuple(range(len(ties), len(ties) + len(loops))),
-        notes=(*notes, *_remarks(len(poses) - len(kept), len(ties) + len(loops))),
+        notes=(*notes, *_remarks(len(poses) - len(kept), len(ties) + len(loops), n_stray)),
     )
 
 
@@ -104,13 +104,15 @@ def _add_sightings(
                 graph.push_back(gtsam.BearingRangeFactor3D(key, landmark_key, bearing, range_m, model))
 
 
-def _remarks(n_blind: int, n_ties: int) -> list[str]:
+def _remarks(n_blind: int, n_ties: int, n_stray: int) -> list[str]:
     notes = ["sightings measure what the model says, with assumed sigmas of 0.002 rad and 2 % of the range"]
     notes.append("lengths are in the model's own unit, metres only where its scale is known")
     if n_ties:
         notes.append(
             f"{n_ties} ties between keyframes measure what the model says, with assumed sigmas of 0.01 rad and 0.1 m"
         )
+    if n_stray:
+        notes.append(f"{n_stray} sightings by keyframes or of points that the model does not hold are left out")
     if n_blind:
         notes.append(f"{n_blind} keyframes see no point of the model and are left out")
     return notes

@@ -28,7 +28,7 @@ def parse(source: Source) -> Dataset:
     Raises
     ------
     FileFormatError
-        A malformed line, or more or fewer numbers than the first line announces.
+        A malformed line, more or fewer numbers than the first line announces, or an observation of what is not there.
     """
     file = source.file
     n_cameras, n_points, n_seen = map(int, source.first)
@@ -39,6 +39,10 @@ def parse(source: Source) -> Dataset:
     if len(seen.lines) != n_seen or len(numbers) != expected:
         got = f"got {len(seen.lines)} observations and {len(numbers)} numbers"
         raise file.error(f"expected {n_seen} observations, then {expected} numbers of cameras and points, {got}")
+    bad = np.flatnonzero((seen.ids >= (n_cameras, n_points)).any(axis=1) | (seen.ids < 0).any(axis=1))
+    if bad.size:
+        ends = f"cameras from 0 to {n_cameras - 1} and points from 0 to {n_points - 1}"
+        raise file.error(f"expected {ends}, got another", seen.lines[bad[0]])
 
     # cameras look along minus z, and map the world to themselves
     points = numbers[CAMERA * n_cameras :].reshape(n_points, POINT)

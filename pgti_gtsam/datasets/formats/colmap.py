@@ -1,12 +1,13 @@
 """COLMAP sparse models, binary or text: the poses of ``images`` and the tracks of ``points3D``.
 
-Named is the folder (or one above its ``sparse/0``) or one of the two files. A pose is a quaternion w, x, y, z and a
+Named is the folder (or one above ``sparse/0``) or one of the two files. A pose is a quaternion w, x, y, z and a
 translation from world to camera. Images need not be in the order of time, so that nothing but covisibility ties them.
 """
 
 from __future__ import annotations
 
 import struct
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -47,7 +48,8 @@ def parse(source: Source) -> Dataset:
         raise source.error(NO_POINT)
     poses = _binary_images(images) if ending == ".bin" else _text_images(images)
     model = _binary_points(points) if ending == ".bin" else _text_points(read_lines(points))
-    return sparse_model(source, format=NAME, poses=poses, points=model.places, seen=model.seen)
+    dataset = sparse_model(source, format=NAME, poses=poses, points=model.places, seen=model.seen)
+    return dataset if source.is_folder else replace(dataset, name=folder.resolve().name)
 
 
 def _binary_images(path: Path) -> dict[int, gtsam.Pose3]:
@@ -89,7 +91,10 @@ def _text_images(path: Path) -> dict[int, gtsam.Pose3]:
         if fields:
             if len(fields) < 10 or not fields[0].isdecimal():
                 raise file.error("expected IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME", line.number)
-            poses[int(fields[0])] = _camera(parse_numbers(file, line, fields[1:8]))
+            try:
+                poses[int(fields[0])] = _camera(parse_numbers(file, line, fields[1:8]))
+            except ValueError:
+                raise file.error("expected a unit quaternion QW QX QY QZ behind IMAGE_ID", line.number) from None
     return poses
 
 
@@ -116,7 +121,8 @@ def _camera(numbers: list[float]) -> gtsam.Pose3:
 
 def _model(source: Source) -> tuple[Path, str]:
     """Folder and ending of a model; an empty ending where there is none."""
-    folders = [source.path, source.path / "sparse" / "0"] if source.is_folder else [source.path.parent]
+    below = (".", "0", "sparse", "sparse/0")
+    folders = [source.path / name for name in below] if source.is_folder else [source.path.parent]
     if not source.is_folder and source.path.stem not in ("images", "points3D"):
         return source.path, ""
     found = [

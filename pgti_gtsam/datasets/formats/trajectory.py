@@ -8,6 +8,7 @@ known: ``x y θ``, ``x y z qx qy qz qw`` or a 3x4 by rows. A loop without a pose
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 
 import gtsam
 import numpy as np
@@ -15,8 +16,8 @@ from numpy.typing import NDArray
 
 from pgti_gtsam.datasets.assembly import Entry, assemble, quaternion_poses, trajectory_steps
 from pgti_gtsam.datasets.dataset import Dataset
-from pgti_gtsam.datasets.source import Format, Source, read_lines
-from pgti_gtsam.datasets.text import Table, TextFile, is_number
+from pgti_gtsam.datasets.source import Format, Source, read_bytes, read_text
+from pgti_gtsam.datasets.text import Table, TextFile, is_number, split_lines
 from pgti_gtsam.factor_graphs import between_factor
 
 TUM, KITTI = "TUM trajectory", "KITTI trajectory"
@@ -50,7 +51,7 @@ def parse(source: Source) -> Dataset:
     if source.loops is None:
         file.notes.append("no loop is known; name a list of them with --loops")
     else:
-        loops = _loops(read_lines(source.loops), made, times, file.notes)
+        loops = _loops(source.loops, made, times, file.notes)
     return assemble(
         file,
         format=TUM if is_tum else KITTI,
@@ -80,8 +81,12 @@ def matrix_poses(file: TextFile, table: Table, before: int = 0) -> list[gtsam.Po
     return [gtsam.Pose3(gtsam.Rot3(rotation), position) for rotation, position in placed]
 
 
-def _loops(file: TextFile, poses: Sequence[gtsam.Pose3], times: NDArray[np.float64], notes: list[str]) -> list[Entry]:
-    """Loop closures of a list, in its order."""
+def _loops(path: Path, poses: Sequence[gtsam.Pose3], times: NDArray[np.float64], notes: list[str]) -> list[Entry]:
+    """Loop closures of a list, in its order; numbers may stand between commas, and there may be none."""
+    if not read_bytes(path).strip():
+        notes.append(f"{path.name} is empty: it names no loop")
+        return []
+    file = split_lines(path, read_text(path), comma=True)
     table = file.rows(ids=0, widths=[2, 2 + 3, 2 + 7, 2 + 12])
     ends = _indices(file, table, times)
     width = table.numbers.shape[1] - 2
@@ -110,7 +115,8 @@ def _indices(file: TextFile, table: Table, times: NDArray[np.float64]) -> NDArra
         far = np.flatnonzero((np.abs(times[found] - ends) > 0.5 * abs(spacing)).any(axis=1))
         if far.size:
             line = int(table.lines[far[0]])
-            raise file.error("expected two indices or timestamps of poses in the trajectory, got another", line)
+            spans = f"indices from 0 to {len(times) - 1} or timestamps from {times.min():.3f} to {times.max():.3f}"
+            raise file.error(f"expected two poses of the trajectory, by {spans}, got another", line)
     same = np.flatnonzero(found[:, 0] == found[:, 1])
     if same.size:
         raise file.error("expected a loop between two poses, got one twice", table.lines[same[0]])
