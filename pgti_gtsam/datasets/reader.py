@@ -40,7 +40,7 @@ def read(
     Parameters
     ----------
     path : Path or str
-        Of a format in `formats.FORMATS`; plain or compressed with gzip, bzip2 or xz.
+        Of a format in `formats.FORMATS`; plain or compressed with gzip, bzip2, xz or lzma, or alone in a zip archive.
     values_path : Path or str, optional
         The archive of the values, for an archive of a graph only.
     loops : Path or str, optional
