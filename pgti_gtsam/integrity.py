@@ -310,7 +310,7 @@ def stable_scores(
     comes from a few √t hops around, so what lies farther changes σ_i by less than the Gaussian tail of
     that walk: a defect keeps its score whatever is built onto the other end of the map.
     It answers the open question of the paper's section 7, but for one change: an end of the track throws heat back, and
-    where a map grows at an end within some sixty keyframes of the defect, σ_i moves once, by up to a third, and stays.
+    where a map grows at an end within some sixty keyframes of the defect, σ_i moves once, by a third or so, and stays.
     """
     before, after = kernel_p.diagonals(times), kernel_m.diagonals(times)
     scores: NDArray[np.float64] = np.sqrt(np.mean(((before - after) / before) ** 2, axis=1))

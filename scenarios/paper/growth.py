@@ -18,6 +18,9 @@ SMALL, NEIGHBOURS, RADIUS_M = 120, 4, 1.2
 
 GROWTHS = (1, 2, 4, 8, 16, 32, 64)
 
+OTHER_TIES, OTHER_GROWTH = (2, 8), 8
+"""Ties of an added keyframe, where they are not as many as the small map's, and the map's size then, in small ones."""
+
 VIRTUAL = 190
 """Keyframes of the virtual way at both ends: three times √(2t) at the longest of the stable score's times."""
 
@@ -79,6 +82,9 @@ def run(tell: Callable[[str], None]) -> list[dict[str, Any]]:
                 graph = grown(name, drawn(), growth, end)
                 found.append({"defect": name, "growth": growth, "end": end, **scores(graph)})
         last = found[-2:]
+        for ties in OTHER_TIES:
+            graph = grown(name, drawn(), OTHER_GROWTH, "near", ties)
+            found.append({"defect": name, "growth": OTHER_GROWTH, "end": f"near, {ties} ties", **scores(graph)})
         tell(
             f"{name:14s} "
             + ", ".join(f"{row['end']} Λ {row['score']:.3f} stable {row['stable_score']:.3f}" for row in last)
@@ -86,14 +92,20 @@ def run(tell: Callable[[str], None]) -> list[dict[str, Any]]:
     return found
 
 
-def grown(name: str, positions: Positions, growth: int, end: str) -> pgti.PoseGraph:
-    """The small map with a straight way before its beginning, far from the defect, or behind its end."""
+def grown(name: str, positions: Positions, growth: int, end: str, ties: int = NEIGHBOURS) -> pgti.PoseGraph:
+    """The small map with a straight way before its beginning, far from the defect, or behind its end.
+
+    Keyframes that were added are tied to as many next ones as `ties` says.
+    """
     added = (growth - 1) * len(positions)
     steps = np.arange(1, added + 1)[:, None]
     before = positions[0] - steps[::-1] * _unit(positions[1] - positions[0]) if end == "far" else positions[:0]
     behind = positions[-1] + steps * _unit(positions[-1] - positions[-2]) if end == "near" else positions[:0]
     whole = np.concatenate([before, positions, behind])
-    return pose_graph(whole, _edges(name, len(whole), len(before)), RADIUS_M)
+    own = np.arange(len(before), len(before) + len(positions))
+    inside, outside = _edges(name, len(whole), len(before), NEIGHBOURS), _edges(name, len(whole), len(before), ties)
+    edges = [inside[np.isin(inside, own).all(axis=1)], outside[~np.isin(outside, own).all(axis=1)]]
+    return pose_graph(whole, np.concatenate(edges), RADIUS_M)
 
 
 def scores(graph: pgti.PoseGraph) -> dict[str, float]:
@@ -129,20 +141,21 @@ def open_stable_score(graph: pgti.PoseGraph, merged: Pairs) -> float:
 def markdown(found: list[dict[str, Any]]) -> list[str]:
     """What each score keeps when the map has grown to its largest, and the least that it kept on the way."""
     lines = ["| defect | grown | " + " | ".join(SCORES.values()) + " |", "|---|---|" + "---|" * len(SCORES)]
+    others = {f"near, {ties} ties": f"at its end, tied to the next {ties}" for ties in OTHER_TIES}
     for defect in dict.fromkeys(row["defect"] for row in found):
         own = [row for row in found if row["defect"] == defect]
         first = next(row for row in own if row["end"] == "none")
         lines.append(f"| {defect} | small map | " + " | ".join(f"{first[name]:.3f}" for name in SCORES) + " |")
-        for end, what in (("far", "away from it"), ("near", "at its end")):
+        for end, what in {"far": "away from it", "near": "at its end", **others}.items():
             last = max((row for row in own if row["end"] == end), key=lambda row: row["growth"])
             cells = [f"{last[name] / first[name]:.2f}" if first[name] else "–" for name in SCORES]
             lines.append(f"| | {last['growth']} times, {what} | " + " | ".join(cells) + " |")
     return lines
 
 
-def _edges(name: str, n: int, before: int) -> Pairs:
-    i = np.repeat(np.arange(n), NEIGHBOURS)
-    pairs = np.stack([i, i + np.tile(np.arange(1, NEIGHBOURS + 1), n)], axis=1)
+def _edges(name: str, n: int, before: int, ties: int) -> Pairs:
+    i = np.repeat(np.arange(n), ties)
+    pairs = np.stack([i, i + np.tile(np.arange(1, ties + 1), n)], axis=1)
     pairs = pairs[pairs[:, 1] < n]
     if name == "thin tracking":
         at = before + 3 * SMALL // 4
