@@ -55,6 +55,10 @@ class InvalidOptionError(PgtiError):
     """An option is outside its range."""
 
 
+class OutputError(PgtiError):
+    """A file cannot be written; the old one, if there is one, stays."""
+
+
 class MissingDependencyError(PgtiError):
     """An optional package or system library is not installed."""
 

@@ -22,6 +22,7 @@ matplotlib.use("Agg")
 from matplotlib import pyplot as plt
 
 import pgti_gtsam as pgti
+from pgti_gtsam import outputs
 from scenarios.problem import between
 
 LAP = 200
@@ -94,7 +95,8 @@ def draw(rows: list[Row], path: Path) -> None:
     axes.set(xlabel="keyframes", ylabel="processor time of an update, ms (median)")
     axes.grid(which="both", alpha=0.3)
     axes.legend()
-    figure.savefig(path, dpi=130)
+    with outputs.drawn(path) as part:
+        figure.savefig(part, dpi=130)
     plt.close(figure)
 
 

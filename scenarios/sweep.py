@@ -7,6 +7,7 @@ given to another.
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -63,11 +64,11 @@ def rows(path: Path) -> Iterator[dict[str, Any]]:
     """Whole rows of the file; a last line that was cut off when the run was killed is cut from it."""
     if not path.is_file():
         return
-    text = path.read_text(encoding="utf-8")
-    whole = text[: text.rfind("\n") + 1]
-    if whole != text:
-        path.write_text(whole, encoding="utf-8")
-    yield from map(json.loads, whole.splitlines())
+    data = path.read_bytes()
+    whole = data.rfind(b"\n") + 1
+    if whole != len(data):
+        os.truncate(path, whole)
+    yield from map(json.loads, data[:whole].splitlines())
 
 
 def _key(row: dict[str, Any], fields: Sequence[str]) -> tuple[Any, ...]:

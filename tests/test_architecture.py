@@ -12,6 +12,8 @@ PACKAGE = ROOT / "pgti_gtsam"
 # From the ground up: a room may import from those before it in its own row, and from the rows above it.
 FLOORS = [
     "errors",
+    "plain_text",
+    "outputs",
     "factor_graphs",
     "sightings",
     "pose_graph",

@@ -1,21 +1,18 @@
-"""The command line: parse, call, print. The only place that catches `PgtiError`."""
+"""The command line: parse, call, print."""
 
 from __future__ import annotations
 
-import sys
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
 from pgti_gtsam import __version__
 from pgti_gtsam.cli.audit import audit, view
 from pgti_gtsam.cli.diffusion import diffusion
+from pgti_gtsam.cli.ending import run_to_its_end
 from pgti_gtsam.cli.gate import closures, gate
 from pgti_gtsam.cli.mend import mend
-from pgti_gtsam.cli.options import READ_NOTES
 from pgti_gtsam.cli.replay import replay
-from pgti_gtsam.errors import PgtiError
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -45,13 +42,5 @@ for _command in (audit, view, gate, closures, mend, replay, diffusion):
 
 
 def main() -> None:
-    """Run the command line; bad input ends with one line, and the notes on what was read, and exit code 2."""
-    READ_NOTES.set(())
-    try:
-        app()
-    except PgtiError as error:
-        console = Console(stderr=True, highlight=False)
-        console.print(f"pgti-gtsam: {error}", markup=False, soft_wrap=True)
-        for note in (*READ_NOTES.get(), *getattr(error, "__notes__", ())):
-            console.print(f"  note: {note}", markup=False, soft_wrap=True)
-        sys.exit(2)
+    """Run the command line; what stops it ends with one line and exit code 2."""
+    run_to_its_end(app)

@@ -9,9 +9,8 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.console import Console
 
-from pgti_gtsam import diagnosis
+from pgti_gtsam import diagnosis, outputs
 from pgti_gtsam.adapter import from_gtsam
 from pgti_gtsam.cli.options import (
     Beta,
@@ -24,9 +23,11 @@ from pgti_gtsam.cli.options import (
     MinShared,
     OneMap,
     Values,
+    print_paths,
     read_map,
     split_names,
     stages,
+    terminal,
 )
 from pgti_gtsam.datasets import Dataset, write_g2o
 from pgti_gtsam.diagnosis import Diagnosis
@@ -35,6 +36,7 @@ from pgti_gtsam.diagnosis.sweep import radius_sweep
 from pgti_gtsam.errors import InvalidOptionError
 from pgti_gtsam.estimate import optimised
 from pgti_gtsam.places import tied_radius_m
+from pgti_gtsam.plain_text import visible
 from pgti_gtsam.report import scene
 from pgti_gtsam.report.document import Document, audit_document, sweep_rows, write_json
 from pgti_gtsam.report.html import write_page
@@ -107,24 +109,23 @@ def audit(
                 progress=stage,
             )
             document["radius_sweep"] = sweep_rows(swept)
-        if json is not None:
-            stage("writing JSON")
-            write_json(document, json)
-        if html is not None:
-            stage("writing the page")
-            write_page(document, html)
-        if proposals is not None:
-            graph, places = proposal_graph(audited.diagnosis, audited.values)
-            write_g2o(graph, places, proposals)
+        with outputs.together():
+            if json is not None:
+                stage("writing JSON")
+                write_json(document, json)
+            if html is not None:
+                stage("writing the page")
+                write_page(document, html)
+            if proposals is not None:
+                graph, places = proposal_graph(audited.diagnosis, audited.values)
+                write_g2o(graph, places, proposals)
 
     # show it
-    console = Console(highlight=False)
+    console = terminal()
     print_summary(document, console)
     if sweep:
         print_sweep(document, console)
-    for what, path in (("JSON", json), ("page", html), ("proposals", proposals)):
-        if path is not None:
-            console.print(f"\n{what}: ", path, sep="", style="dim", markup=False, soft_wrap=True)
+    print_paths({"JSON": json, "page": html, "proposals": proposals}, console)
     if _fails(document, fail_on, fail_above):
         raise typer.Exit(1)
 
@@ -192,7 +193,7 @@ def _audit(
     adapted = found.pose_graph.adaptation
     options = {
         "radius": radius if metres is None else metres,
-        "cloud": None if cloud is None else cloud.name,
+        "cloud": None if cloud is None else visible(cloud.name),
         "edges": list(adapted.edges) if adapted else [],
         "min_shared_landmarks": adapted.min_shared_landmarks if adapted else min_shared_landmarks,
         "beta": beta,

@@ -7,9 +7,20 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
-from pgti_gtsam.cli.options import IgnoreUnknown, Loops, Map, MapFiles, OneMap, Values, read_map, stages
+from pgti_gtsam import outputs
+from pgti_gtsam.cli.options import (
+    IgnoreUnknown,
+    Loops,
+    Map,
+    MapFiles,
+    OneMap,
+    Values,
+    print_paths,
+    read_map,
+    stages,
+    terminal,
+)
 from pgti_gtsam.diffusion import study
 from pgti_gtsam.report.heat import heat_document, write_heat_page
 from pgti_gtsam.report.terminal import print_heat
@@ -32,12 +43,11 @@ def diffusion(
         dataset, _ = read_map(files, None, None)
         found = study(dataset.graph, dataset.values, stage)
         document = heat_document(found, dataset.title)
-        if json is not None:
-            json.write_text(json_text.dumps(document, indent=1, allow_nan=False) + "\n", encoding="utf-8")
-        if html is not None:
-            write_heat_page(document, html)
-    console = Console(highlight=False)
+        with outputs.together():
+            if json is not None:
+                outputs.write_text(json, json_text.dumps(document, indent=1, allow_nan=False) + "\n")
+            if html is not None:
+                write_heat_page(document, html)
+    console = terminal()
     print_heat(document, console)
-    for what, path in (("JSON", json), ("page", html)):
-        if path is not None:
-            console.print(f"\n{what}: ", path, sep="", style="dim", markup=False, soft_wrap=True)
+    print_paths({"JSON": json, "page": html}, console)

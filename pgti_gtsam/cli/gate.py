@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.console import Console
 
+from pgti_gtsam import outputs
 from pgti_gtsam.adapter import MIN_SHARED_LANDMARKS
 from pgti_gtsam.adapter.values import Keyframes, read_keyframes
 from pgti_gtsam.cli.options import (
@@ -25,8 +25,10 @@ from pgti_gtsam.cli.options import (
     Radius,
     Values,
     counted,
+    print_paths,
     read_map,
     split_names,
+    terminal,
 )
 from pgti_gtsam.datasets import Dataset
 from pgti_gtsam.datasets.chain import between_factors
@@ -35,6 +37,7 @@ from pgti_gtsam.datasets.writer import Outcome, write_graph
 from pgti_gtsam.errors import InvalidOptionError
 from pgti_gtsam.gate import GatedGraph, GateOptions, LoopClosureGate, gate_graph
 from pgti_gtsam.gate.batch import leave_one_out
+from pgti_gtsam.plain_text import visible
 from pgti_gtsam.report.decisions import (
     Record,
     closures_document,
@@ -104,38 +107,39 @@ def gate(
         )
 
         # write what was asked for
-        written = _write_gated(dataset, gated, out, out_values)
-        if decisions is not None:
-            write_json_lines(records, decisions)
-        if json is not None or html is not None:
-            document = _document(
-                dataset,
-                records,
-                [],
-                read_keyframes(gated.values),
-                "at the optimum with the accepted closures",
-                {
-                    **_read_as(radius, cloud, edges, min_shared_landmarks, every),
-                    "rule": rule,
-                    "min_probability": min_probability,
-                },
-            )
-            if json is not None:
-                write_json(document, json)
-            if html is not None:
-                write_gate_page(document, html)
-        if rejected is not None:
-            _write_pairs(dataset, gated.rejected, rejected)
+        with outputs.together():
+            written = _write_gated(dataset, gated, out, out_values)
+            if decisions is not None:
+                write_json_lines(records, decisions)
+            if json is not None or html is not None:
+                document = _document(
+                    dataset,
+                    records,
+                    [],
+                    read_keyframes(gated.values),
+                    "at the optimum with the accepted closures",
+                    {
+                        **_read_as(radius, cloud, edges, min_shared_landmarks, every),
+                        "rule": rule,
+                        "min_probability": min_probability,
+                    },
+                )
+                if json is not None:
+                    write_json(document, json)
+                if html is not None:
+                    write_gate_page(document, html)
+            if rejected is not None:
+                _write_pairs(dataset, gated.rejected, rejected)
 
     # show it
-    console = Console(highlight=False)
+    console = terminal()
     print_heading(dataset.title, f"{len(records)} loop closures, the surest judged first", dataset.notes, console)
     print_decisions(records, console)
     print_tally(records, console, seconds=time.perf_counter() - started)
     print_left_out(written.unwritten, "the gated graph's file", console)
     graph = f"gated graph, {written.surprise}" if written.surprise else "gated graph"
     paths = {"decisions": decisions, "JSON": json, "page": html, graph: out, "its values": out_values}
-    _print_paths({**paths, "rejected closures": rejected}, console)
+    print_paths({**paths, "rejected closures": rejected}, console)
 
 
 def closures(
@@ -181,13 +185,13 @@ def closures(
             write_json(document, json)
 
     # show it
-    console = Console(highlight=False)
+    console = terminal()
     print_heading(dataset.title, f"{len(records)} loop closures, each against all others", dataset.notes, console)
     print_closures(least_probable_first(records), console)
     print_tally(records, console, seconds=time.perf_counter() - started)
     if alone:
         print_left_out({"closures, on each of which a keyframe hangs alone": len(alone)}, "the judgement", console)
-    _print_paths({"JSON": json}, console)
+    print_paths({"JSON": json}, console)
 
 
 def _gate(edges: str | None, min_shared_landmarks: int | None, **options: Any) -> LoopClosureGate:
@@ -201,7 +205,7 @@ def _read_as(
     """How the map was read, for a document."""
     return {
         "radius": radius,
-        "cloud": None if cloud is None else cloud.name,
+        "cloud": None if cloud is None else visible(cloud.name),
         "edges": split_names(edges),
         "min_shared_landmarks": min_shared_landmarks,
         "every": every,
@@ -247,10 +251,4 @@ def _write_pairs(dataset: Dataset, slots: Iterable[int], path: Path) -> None:
     """Write the ends of closures as the map's file names them, a pair a line."""
     ends = _ends(dataset, slots).values()
     lines = [" ".join(dataset.names.get(key, str(key)) for key in keys) + "\n" for keys in ends]
-    path.write_text("".join(lines), encoding="utf-8")
-
-
-def _print_paths(paths: Mapping[str, Path | None], console: Console) -> None:
-    for what, path in paths.items():
-        if path is not None:
-            console.print(f"{what}: ", path, sep="", style="dim", markup=False, soft_wrap=True)
+    outputs.write_text(path, "".join(lines))

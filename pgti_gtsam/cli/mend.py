@@ -8,17 +8,29 @@ from typing import Annotated, Any
 
 import gtsam
 import typer
-from rich.console import Console
 
-from pgti_gtsam import datasets
+from pgti_gtsam import datasets, outputs
 from pgti_gtsam.adapter.values import read_keyframes
 from pgti_gtsam.cli.mend_text import print_mended
-from pgti_gtsam.cli.options import Cloud, IgnoreUnknown, Map, MapFiles, OneMap, Radius, Values, counted, read_map
+from pgti_gtsam.cli.options import (
+    Cloud,
+    IgnoreUnknown,
+    Map,
+    MapFiles,
+    OneMap,
+    Radius,
+    Values,
+    counted,
+    print_paths,
+    read_map,
+    terminal,
+)
 from pgti_gtsam.datasets.writer import write_graph
 from pgti_gtsam.errors import InvalidOptionError
 from pgti_gtsam.factor_graphs import BETWEEN, between_factor, factors_of, keys_of
 from pgti_gtsam.mend import Mended, clouds_in, scans_of
 from pgti_gtsam.mend.mending import mend as mended_map
+from pgti_gtsam.plain_text import visible
 from pgti_gtsam.report.document import write_json
 from pgti_gtsam.report.mended import mended_document, write_mended_page
 
@@ -78,8 +90,8 @@ def mend(
             notes=dataset.notes,
             options={
                 "radius": radius,
-                "clouds": None if clouds is None else clouds.name,
-                "loops": None if loops is None else loops.name,
+                "clouds": None if clouds is None else visible(clouds.name),
+                "loops": None if loops is None else visible(loops.name),
                 "dry_run": dry_run,
             },
             names=dataset.names,
@@ -87,25 +99,24 @@ def mend(
 
         # write what was asked for
         unwritten: Mapping[str, int] = {}
-        if out is not None and not dry_run:
-            unwritten = write_graph(dataset, mended.graph, mended.values, out).unwritten
-        if proposals is not None:
-            graph, poses = _open_ties(mended)
-            datasets.write_g2o(graph, poses, proposals, names=dataset.names)
-        if json is not None:
-            write_json(document, json)
-        if html is not None:
-            write_mended_page(document, html)
+        with outputs.together():
+            if out is not None and not dry_run:
+                unwritten = write_graph(dataset, mended.graph, mended.values, out).unwritten
+            if proposals is not None:
+                graph, poses = _open_ties(mended)
+                datasets.write_g2o(graph, poses, proposals, names=dataset.names)
+            if json is not None:
+                write_json(document, json)
+            if html is not None:
+                write_mended_page(document, html)
 
     # show it
-    console = Console(highlight=False)
+    console = terminal()
     print_mended(document, console)
     for what, count in unwritten.items():
         console.print(f"left out of the mended map's file: {count} {what}", style="yellow", markup=False)
     written = {"mended map": None if dry_run else out, "proposals": proposals, "JSON": json, "page": html}
-    for what, path in written.items():
-        if path is not None:
-            console.print(f"{what}: ", path, sep="", style="dim", markup=False, soft_wrap=True)
+    print_paths(written, console)
 
 
 def _open_ties(mended: Mended) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+import os
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from dataclasses import dataclass
 from itertools import combinations
@@ -20,6 +22,7 @@ from pgti_gtsam.adapter.values import read_keyframes
 from pgti_gtsam.datasets.formats import FORMATS
 from pgti_gtsam.dense_map import radii_from_cloud
 from pgti_gtsam.errors import InvalidOptionError
+from pgti_gtsam.plain_text import visible
 
 READ_NOTES: ContextVar[tuple[str, ...]] = ContextVar("notes of the map that was read", default=())
 KINDS = ", ".join(format.name for format in FORMATS)
@@ -57,6 +60,25 @@ MinShared = Annotated[
 ]
 Every = Annotated[int, typer.Option(help="Keep every so many-th pose as a keyframe, odometry composed; 1: all.")]
 Beta = Annotated[float, typer.Option(help="Share of the time scales that counts as local.")]
+
+
+CLOSED_PIPE = 141
+"""Exit code where the reader of standard output left, as of a process that SIGPIPE ends."""
+
+
+class Terminal(Console):
+    """A console that leaves quietly, and with a code that is no verdict, where its reader has left."""
+
+    def on_broken_pipe(self) -> None:
+        """End; what is still to be printed goes nowhere."""
+        discard_output()
+        raise SystemExit(CLOSED_PIPE)
+
+
+def discard_output() -> None:
+    """Let the end of the process find a standard output that takes everything."""
+    with suppress(OSError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -114,6 +136,18 @@ def read_map(files: MapFiles, radius: float | None, cloud: Path | None, every: i
     return dataset, dict(zip(keyframes.keys.tolist(), distances.tolist(), strict=True))
 
 
+def terminal() -> Terminal:
+    """Standard output, as all commands print to it."""
+    return Terminal(highlight=False)
+
+
+def print_paths(paths: Mapping[str, Path | None], console: Console) -> None:
+    """Say where what was asked for is."""
+    for what, path in paths.items():
+        if path is not None:
+            console.print(f"{what}: {visible(str(path))}", style="dim", markup=False, soft_wrap=True)
+
+
 def split_names(names: str | None) -> tuple[str, ...] | None:
     """Names between commas."""
     return None if names is None else tuple(name.strip() for name in names.split(","))
@@ -134,6 +168,8 @@ def _check_output(output: Path, inputs: list[Path]) -> None:
         raise InvalidOptionError(f"expected an output of its own, got the input {output}; name another file")
     if output.is_dir() or not output.parent.is_dir():
         raise InvalidOptionError(f"expected a file in an existing folder, got {output}")
+    if not os.access(output if output.exists() else output.parent, os.W_OK):
+        raise InvalidOptionError(f"expected a file that may be written, got {output}: permission denied")
 
 
 @contextmanager

@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from pgti_gtsam import outputs
 from pgti_gtsam.cli.options import (
     Beta,
     Cloud,
@@ -24,8 +25,10 @@ from pgti_gtsam.cli.options import (
     Radius,
     Values,
     counted,
+    print_paths,
     read_map,
     split_names,
+    terminal,
 )
 from pgti_gtsam.replay import METRICS, Measure
 from pgti_gtsam.replay import replay as grow
@@ -72,15 +75,14 @@ def replay(
             progress=lambda done, of: tell("measuring", done, of),
         )
         document = replay_document(found, name=dataset.title, file_format=dataset.format, notes=dataset.notes)
-        if html is not None:
-            write_replay_page(document, html)
-        if png is not None:
-            write_replay_png(document, png)
-    console = Console(highlight=False)
+        with outputs.together():
+            if html is not None:
+                write_replay_page(document, html)
+            if png is not None:
+                write_replay_png(document, png)
+    console = terminal()
     _print(document, console)
-    for what, path in (("JSON lines", json), ("page", html), ("picture", png)):
-        if path is not None:
-            console.print(f"\n{what}: ", path, sep="", style="dim", markup=False, soft_wrap=True)
+    print_paths({"JSON lines": json, "page": html, "picture": png}, console)
 
 
 def _print(document: Mapping[str, Any], console: Console) -> None:

@@ -9,6 +9,8 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
+from pgti_gtsam.plain_text import visible
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Dataset:
@@ -61,7 +63,12 @@ class Dataset:
     names: Mapping[int, str] = field(default_factory=dict)
     scans: Mapping[int, NDArray[np.float64]] = field(default_factory=dict)
 
+    def __post_init__(self) -> None:
+        """Make the notes fit to be shown, for they name files."""
+        object.__setattr__(self, "notes", tuple(map(visible, self.notes)))
+
     @property
     def title(self) -> str:
-        """The name, and what the map lacks."""
-        return f"{self.name} without {self.ignored_edges} unknown edges" if self.ignored_edges else self.name
+        """The name, fit to be shown, and what the map lacks."""
+        name = visible(self.name)
+        return f"{name} without {self.ignored_edges} unknown edges" if self.ignored_edges else name

@@ -16,6 +16,7 @@ from typing import Any
 import gtsam
 import numpy as np
 
+from pgti_gtsam import outputs
 from pgti_gtsam.adapter.values import typed_value
 from pgti_gtsam.datasets.chain import poses_of
 from pgti_gtsam.datasets.edge_lines import (
@@ -87,6 +88,8 @@ def write_g2o(
         A factor refers to a key without a value.
     InvalidValueError
         A value is not finite, or beyond 1e30.
+    OutputError
+        The file cannot be written.
     """
     poses = poses_of(values)
     edges, unwritten = edge_lines(graph, _PARTS)
@@ -104,7 +107,7 @@ def write_g2o(
     renumbered = [] if kept else [key for key in poses if numbers[key] != key]
     renumbered += [] if kept else [key for key in points if landmark_key(numbers[key]) != key]
     lines += [f"# {numbers[key]} is {key_label(key)}" for key in renumbered]  # other readers stumble over it earlier
-    Path(path).write_text("\n".join(lines) + "\n", encoding="utf-8")
+    outputs.write_text(path, "\n".join(lines) + "\n")
     return Written(numbers=numbers, renumbered=tuple(renumbered), unwritten=dict(unwritten))
 
 

@@ -14,6 +14,7 @@ from typing import Any
 import gtsam
 import numpy as np
 
+from pgti_gtsam import outputs
 from pgti_gtsam.adapter.values import typed_value
 from pgti_gtsam.datasets.chain import LETTER, Pose, poses_of
 from pgti_gtsam.datasets.edge_lines import (
@@ -52,7 +53,7 @@ def write_pyfg(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, path: Pa
     lines += [_point_line(values, key, names[key]) for key in names if key not in poses]
     for edge in edges:
         lines += edge._replace(loss=[]).lines(names, times[max(set(edge.keys) & poses.keys())])
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    outputs.write_text(path, "\n".join(lines) + "\n")
     lost = Counter({"robust losses": sum(bool(edge.loss) for edge in edges), TIMES: len(poses)})
     return unwritten + lost
 

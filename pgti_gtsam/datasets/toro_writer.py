@@ -13,6 +13,7 @@ from typing import Any
 import gtsam
 import numpy as np
 
+from pgti_gtsam import outputs
 from pgti_gtsam.datasets.chain import Pose, poses_of
 from pgti_gtsam.datasets.edge_lines import (
     TRANSLATION_FIRST,
@@ -44,7 +45,7 @@ def write_toro(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, path: Pa
     lines = [_vertex(key, pose) for key, pose in poses.items()]
     for edge in edges:
         lines += edge.lines({key: key if key in poses else landmark_identifier(key) for key in edge.keys})
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    outputs.write_text(path, "\n".join(lines) + "\n")
     return unwritten
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
+import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, fields
@@ -50,17 +51,22 @@ def known_moments(path: Path | None, first: Mapping[str, Any]) -> list[Moment]:
     """
     if path is None or not path.is_file():
         return []
-    text = path.read_text(encoding="utf-8")
-    whole = text[: text.rfind("\n") + 1]
-    if whole != text:
-        path.write_text(whole, encoding="utf-8")
+    data = path.read_bytes()
+    whole = data.rfind(b"\n") + 1
+    if whole != len(data):
+        os.truncate(path, whole)
     try:
-        rows = [json.loads(line) for line in whole.splitlines()]
-    except json.JSONDecodeError as error:
+        rows = [json.loads(line) for line in data[:whole].splitlines()]
+    except ValueError as error:
         raise FileFormatError(path, f"expected a JSON object a line, got {error}; name another file") from error
     if rows and rows[0] != first:
         raise FileFormatError(path, "expected a replay of this map with these options, got another; name another file")
-    return [_moment(row) for row in rows[1:]]
+    try:
+        return [_moment(row) for row in rows[1:]]
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
+        raise FileFormatError(
+            path, f"expected a moment a line, got another object ({error}); name another file"
+        ) from error
 
 
 @contextmanager

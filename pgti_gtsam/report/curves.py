@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pgti_gtsam import outputs
 from pgti_gtsam.errors import InvalidOptionError, MissingDependencyError
 
 PANELS = (
@@ -70,7 +71,8 @@ def write_replay_png(document: Mapping[str, Any], path: Path | str) -> None:
         axis.fill_between(x, np.array(moments["n_new"]) > 0, step="pre", color="#d7263d", lw=0)
         axis.set_ylabel("edges\ninserted", rotation=0, ha="right", va="center")
         axis.set(xlabel="keyframes", yticks=[], ylim=(0, 1.1))
-        figure.savefig(path, dpi=200)
+        with outputs.drawn(path) as part:
+            figure.savefig(part, dpi=200)
         plt.close(figure)
 
 

@@ -13,6 +13,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from pgti_gtsam import outputs
 from pgti_gtsam.adapter.values import Keyframes
 from pgti_gtsam.gate import Change, ClosureDecision
 from pgti_gtsam.pose_graph import key_label
@@ -90,7 +91,7 @@ def least_probable_first(records: Iterable[Record]) -> list[Record]:
 def write_json_lines(records: Iterable[Mapping[str, Any]], path: Path) -> None:
     """Write records as strict JSON, one a line."""
     lines = [json.dumps(record, allow_nan=False, ensure_ascii=False) + "\n" for record in records]
-    path.write_text("".join(lines), encoding="utf-8")
+    outputs.write_text(path, "".join(lines))
 
 
 def closures_document(

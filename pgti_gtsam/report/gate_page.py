@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from pgti_gtsam import outputs
 from pgti_gtsam.report import web
 from pgti_gtsam.report.decisions import SCHEMA, SCHEMA_VERSION
 
@@ -43,4 +44,4 @@ def write_gate_page(document: Mapping[str, Any], path: Path) -> None:
     """
     web.require_schema(document, SCHEMA, SCHEMA_VERSION)
     page = web.assembled(document, what="loop closures", body="gate.html", first="closures", scripts=_SCRIPTS)
-    path.write_bytes(page.encode("utf-8"))
+    outputs.write_text(path, page)

@@ -11,6 +11,7 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
+from pgti_gtsam import outputs
 from pgti_gtsam.diffusion import Study
 
 
@@ -121,7 +122,7 @@ def write_heat_page(document: Mapping[str, Any], path: Path) -> None:
         template="plotly_white",
         height=520,
     )
-    go.Figure(figure).write_html(path, include_plotlyjs=True, full_html=True)
+    outputs.write_text(path, go.Figure(figure).to_html(include_plotlyjs=True, full_html=True))
 
 
 def _plain(name: str) -> str:

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from pgti_gtsam import outputs
 from pgti_gtsam.report import web
 
 SCHEMA, SCHEMA_VERSION = "pgti-gtsam/audit", 2
@@ -40,10 +41,10 @@ def write_page(document: Mapping[str, Any], path: Path | str) -> None:
     ------
     InvalidValueError
         See `page`.
-    OSError
+    OutputError
         The file cannot be written.
     """
-    Path(path).write_bytes(page(document).encode("utf-8"))
+    outputs.write_text(path, page(document))
 
 
 def page(document: Mapping[str, Any]) -> str:

@@ -16,6 +16,7 @@ from typing import Any
 import gtsam
 import numpy as np
 
+from pgti_gtsam import outputs
 from pgti_gtsam.adapter.values import read_keyframes
 from pgti_gtsam.datasets import write_g2o
 from pgti_gtsam.diagnosis import Diagnosis
@@ -93,7 +94,7 @@ def write_mended_page(document: Mapping[str, Any], path: Path | str) -> None:
     """Write one HTML file that needs no network; see `web.assembled` for what is raised."""
     web.require_schema(document, SCHEMA, SCHEMA_VERSION)
     page = web.assembled(document, what="map mended", body="mend.html", first="attempts", scripts=_SCRIPTS)
-    Path(path).write_bytes(page.encode("utf-8"))
+    outputs.write_text(path, page)
 
 
 def _side(diagnosis: Diagnosis, values: gtsam.Values) -> Document:

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pgti_gtsam import outputs
 from pgti_gtsam.replay import METRICS, Replay
 from pgti_gtsam.report import web
 from pgti_gtsam.report.document import Document
@@ -58,7 +59,7 @@ def replay_document(replay: Replay, *, name: str, file_format: str, notes: Seque
 def write_replay_page(document: Mapping[str, Any], path: Path | str) -> None:
     """Write one HTML file that needs no network; see `web.assembled` for what is raised."""
     page = web.assembled(document, what="map integrity, replayed", body="replay.html", first="lags", scripts=_SCRIPTS)
-    Path(path).write_bytes(page.encode("utf-8"))
+    outputs.write_text(path, page)
 
 
 def _top(scores: NDArray[np.float32]) -> float:

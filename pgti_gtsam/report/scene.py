@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from plotly.colors import hex_to_rgb, sequential
 
+from pgti_gtsam import outputs
 from pgti_gtsam.dense_map import HOW_TO_INSTALL, load_open3d
-from pgti_gtsam.errors import FileFormatError, InvalidOptionError, MissingDependencyError
+from pgti_gtsam.errors import InvalidOptionError, MissingDependencyError, OutputError
 from pgti_gtsam.report.html import require_schema
 
 FloatArray = NDArray[np.float64]
@@ -124,7 +125,7 @@ def render_png(document: Mapping[str, Any], path: Path | str, width: int = 1600,
         The size is not positive, or the name does not end in ".png".
     MissingDependencyError
         Open3D or a library of it is missing.
-    FileFormatError
+    OutputError
         The picture cannot be written.
     InvalidValueError
         The document has another schema.
@@ -148,8 +149,9 @@ def render_png(document: Mapping[str, Any], path: Path | str, width: int = 1600,
         covered = _picture(renderer, drawn, width / height)
     # The second picture laid over the first: spheres that overlap then show as one space, not as ever darker layers.
     image = ((1 - _BALL_OPACITY) * without + _BALL_OPACITY * covered).round().astype(np.uint8)
-    if not open3d.io.write_image(str(path), open3d.geometry.Image(image)):
-        raise FileFormatError(path, "the picture cannot be written: does the folder exist, and may it be written to?")
+    with outputs.drawn(path) as part:
+        if not open3d.io.write_image(str(part), open3d.geometry.Image(image)):
+            raise OutputError(f"{path} cannot be written: Open3D made no picture")
 
 
 def _require_vulkan() -> None:

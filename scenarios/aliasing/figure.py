@@ -10,6 +10,7 @@ import numpy as np
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 
+from pgti_gtsam import outputs
 from scenarios import measures
 from scenarios.aliasing.methods import METHODS
 from scenarios.aliasing.tables import mean_and_interval
@@ -37,7 +38,8 @@ def draw(rows: Sequence[dict[str, Any]], path: Path) -> None:
     axes[1].set(xlabel="false closures per true one, right sigmas")
     axes[2].set(xlabel="recall", ylabel="precision, right sigmas")
     axes[2].legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
-    figure.savefig(path, dpi=110)
+    with outputs.drawn(path) as part:
+        figure.savefig(part, dpi=110)
     plt.close(figure)
 
 

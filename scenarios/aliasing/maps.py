@@ -12,6 +12,7 @@ from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 
+from pgti_gtsam import outputs
 from scenarios.aliasing import methods
 from scenarios.problem import Problem, space
 
@@ -31,7 +32,8 @@ def draw(problems: Sequence[Problem], path: Path) -> None:
         right, wrong = (int((gated.accepted & kind).sum()) for kind in (problem.true, ~problem.true))
         title = f"gate: {right} of {problem.true.sum()} true, {wrong} of {(~problem.true).sum()} false"
         _map(row[3], problem, gated.values, gated.accepted, title)
-    figure.savefig(path, dpi=80)
+    with outputs.drawn(path) as part:
+        figure.savefig(part, dpi=80)
     plt.close(figure)
 
 

@@ -13,6 +13,7 @@ from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
+from pgti_gtsam import outputs
 from pgti_gtsam.diagnosis import diagnose
 from scenarios.diagnosis import trials
 from scenarios.diagnosis.tables import known
@@ -68,7 +69,7 @@ def write(rows: Sequence[dict[str, Any]], data: Path | None, path: Path) -> None
     """The chosen maps as JSON."""
     row_of = {Trial(row["world"], row["seed"], row["variant"], row["damage"]): row for row in rows}
     found = [described(trial, data, row_of[trial]) for trial in chosen(rows)]
-    path.write_text(json.dumps(found) + "\n", encoding="utf-8")
+    outputs.write_text(path, json.dumps(found) + "\n")
 
 
 def draw(described_maps: Sequence[dict[str, Any]], path: Path) -> None:
@@ -86,7 +87,8 @@ def draw(described_maps: Sequence[dict[str, Any]], path: Path) -> None:
     lines = [Line2D([], [], color=colour, lw=3, label=kind) for kind, colour in COLOURS.items()]
     lines.append(Line2D([], [], color="tab:red", lw=1, ls="--", label="false closure put in"))
     figure.legend(handles=lines, loc="outside lower center", ncols=len(lines), fontsize=12, frameon=False)
-    figure.savefig(path, dpi=85)
+    with outputs.drawn(path) as part:
+        figure.savefig(part, dpi=85)
     plt.close(figure)
 
 

@@ -13,6 +13,8 @@ import numpy as np
 from matplotlib import pyplot as plt
 from matplotlib.collections import LineCollection
 
+from pgti_gtsam import outputs
+
 
 def draw_maps(found: Sequence[dict[str, Any]], path: Path) -> None:
     """One map a row of the table, brighter where ζ is larger, inserted edges in red."""
@@ -33,7 +35,8 @@ def draw_maps(found: Sequence[dict[str, Any]], path: Path) -> None:
         axis.tick_params(labelsize=6)
     for axis in axes.flat[len(found) :]:
         axis.axis("off")
-    figure.savefig(path, dpi=90)
+    with outputs.drawn(path) as part:
+        figure.savefig(part, dpi=90)
     plt.close(figure)
 
 
@@ -55,5 +58,6 @@ def draw_growth(found: Sequence[dict[str, Any]], path: Path) -> None:
     axes[0, 0].legend(fontsize=7)
     axes[0, 0].set(ylim=(0, 1.6), ylabel="part of the small map's")
     axes[1, 0].set(xlabel="map, times the small one", ylabel="part of the small map's")
-    figure.savefig(path, dpi=90)
+    with outputs.drawn(path) as part:
+        figure.savefig(part, dpi=90)
     plt.close(figure)

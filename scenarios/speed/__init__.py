@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from pgti_gtsam import outputs
 from pgti_gtsam.errors import InvalidOptionError
 from scenarios.speed import solvers
 from scenarios.speed.figure import draw
@@ -75,7 +76,7 @@ PARTS: dict[str, Callable[[Path | None], Iterator[str]]] = {
 def write(found: Row, path: Path) -> None:
     """Write the results as JSON, and their figure beside."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+    outputs.write_text(path, json.dumps(found, indent=1) + "\n")
     draw(found, path.with_suffix(".png"))
 
 

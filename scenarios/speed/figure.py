@@ -10,6 +10,8 @@ import matplotlib
 matplotlib.use("Agg")
 from matplotlib import pyplot as plt
 
+from pgti_gtsam import outputs
+
 STYLES = {
     "poles": ("#1b6ca8", "o"),
     "dense": ("#c0392b", "s"),
@@ -65,7 +67,8 @@ def draw(found: dict[str, Any], path: Path) -> None:
         axis.grid(alpha=0.3, which="both", lw=0.4)
     axes[0].legend(fontsize=7)
     axes[0].set_title("Lines: synthetic chains and laps. Hollow: real pose graphs", fontsize=9)
-    figure.savefig(path, dpi=140)
+    with outputs.drawn(path) as part:
+        figure.savefig(part, dpi=140)
     plt.close(figure)
 
 

@@ -15,6 +15,7 @@ from xml.etree import ElementTree
 
 import gtsam
 
+from pgti_gtsam import outputs
 from pgti_gtsam.datasets.dataset import Dataset
 from pgti_gtsam.datasets.foreign import ENDINGS
 from pgti_gtsam.datasets.source import Format, Source, read_bytes, read_text
@@ -85,7 +86,7 @@ def read_values(path: Path) -> gtsam.Values:
 
 def write_archive(written: gtsam.NonlinearFactorGraph | gtsam.Values, path: Path) -> None:
     """Write a graph or values as ``gtsam::deserializeFromFile`` reads them; empty slots stay empty slots."""
-    path.write_text(written.serialize(), encoding="utf-8")
+    outputs.write_text(path, written.serialize())
 
 
 def as_text(path: Path) -> str:
