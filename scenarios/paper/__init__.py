@@ -21,6 +21,8 @@ def run(data: Path | None, folder: Path, tell: Callable[[str], None]) -> dict[st
     tell("section 6.3: Table 4")
     found["table_4"] = table.run(data, tell)
     found["false_loops"] = table.false_loops(FALSE_LOOP_SEED)
+    found["side_loops"] = table.side_loops()
+    found["drifts"] = [] if data is None else table.drifts(data)
     tell("section 7: growth, texture")
     found["growth"] = growth.run(tell)
     found["texture"] = texture.run()
@@ -50,6 +52,10 @@ def report(found: dict[str, Any]) -> list[str]:
         *table.markdown(found["table_4"]),
         f"\n{false['n']} drawn false loops, sized as row (g): Λ quartiles {low:.2f}, {middle:.2f}, {high:.2f}, largest "
         f"{false['largest']:.2f}, above 1 in {false['above_1']}, global part the larger in {false['global_dominates']}",
+        "the side loop of row (d) by the way behind it: "
+        + ", ".join(f"{each['behind_m']} m {each['ratio']:.1f}" for each in found["side_loops"]),
+        "KITTI 00 by its drift a kilometre: "
+        + ", ".join(f"{each['per_km']:.0%} Λ {each['score']:.2f}" for each in found["drifts"]),
         "\nΛ by the time grid (the merged graph's for both, or each graph's own) and the norm\n",
         *table.readings_markdown(found["table_4"]),
         "\nwhat a grown map keeps of each score\n",

@@ -12,7 +12,7 @@ import pgti_gtsam as pgti
 from pgti_gtsam.integrity import relative_distortion, time_grid
 from pgti_gtsam.spectral.heat_kernel import heat_kernels
 from scenarios.paper.rows import BETAS, Row, aliased, rows
-from scenarios.paper.ways import pose_graph, radius_inserting
+from scenarios.paper.ways import covisible, kitti_00, pose_graph, radius_inserting, scale_drift, way
 
 HARMLESS, BALANCED = 0.2, 1.2
 """Λ below which the paper's rows are harmless, and the ratio of Λ_loc and Λ_glob up to which they count as equal."""
@@ -98,6 +98,30 @@ def false_loops(seed: int) -> dict[str, Any]:
     low, middle, high = np.quantile(scores, [0.25, 0.5, 0.75])
     return {"seed": seed, "n": len(scores), "quartiles": [low, middle, high], "largest": max(scores),
             "above_1": int((np.array(scores) > 1).sum()), "global_dominates": int(sum(far))}  # fmt: skip
+
+
+def drifts(data: Path) -> list[dict[str, float]]:
+    """Λ of the true way of KITTI 00, sized as row (a), by how much its scale drifts a kilometre."""
+    row, found = rows(None)[0], []
+    edges = covisible(row.n_keyframes, row.n_edges)
+    for per_km in (0.02, 0.05, 0.1, 0.15, 0.2, 0.3):
+        positions = scale_drift(kitti_00(data, 5, row.n_keyframes), per_km)
+        graph = pose_graph(positions, edges, radius_inserting(positions, edges, row.n_inserted))
+        found.append({"per_km": per_km, "score": pgti.assess(graph).score})
+    return found
+
+
+def side_loops() -> list[dict[str, float]]:
+    """The side loop of row (d) at other places of a way as long: the largest ratio of the parts over all β."""
+    row = next(each for each in rows(None) if each.name.startswith("(d)"))
+    edges, found = covisible(row.n_keyframes, row.n_edges), []
+    for behind_m in (8, 20, 40, 80, 120):
+        corners = [(-230.0 + behind_m, 0.0), (20.0, 0.0), (20.0, 20.0), (0.0, 20.0), (0.0, -float(behind_m))]
+        positions = way(corners, row.n_keyframes)
+        integrity = pgti.assess(pose_graph(positions, edges, radius_inserting(positions, edges, row.n_inserted)))
+        parts = [(split.local, split.global_) for split in map(integrity.split, BETAS)]
+        found.append({"behind_m": behind_m, "ratio": max(max(pair) / min(pair) for pair in parts)})
+    return found
 
 
 def line(row: dict[str, Any]) -> str:
