@@ -64,7 +64,7 @@ DRIFTED = 1.0
 """Allowance, in free radii ρ, up to which a map has hardly drifted between a closure's ends."""
 
 FEW = 5
-"""Candidates of a kind below which no share is told."""
+"""Candidates of either kind below which a map has no row of its own."""
 
 KITTI = {"KITTI 00": ("00", ["0.15"]), "KITTI 06": ("06", ["0.15"]), "KITTI 07": ("07", ["0.25"])}
 """Sequences, at the detector's threshold that lets most false loops through."""
@@ -72,7 +72,7 @@ KITTI = {"KITTI 00": ("00", ["0.15"]), "KITTI 06": ("06", ["0.15"]), "KITTI 07":
 BICOCCA = {"Bicocca, 1 m": 1.0, "Bicocca, 2 m": 2.0, "Bicocca, 4 m": 4.0}
 """Radii that are assumed."""
 
-FIELD = ("CSAIL", "MIT", "intel", "manhattan_olson3500", "parking-garage")
+FIELD = ("CSAIL", "MIT", "intel", "manhattan_olson3500")
 """Standard graphs, with as many random false closures as they have true ones."""
 
 REAL = (*KITTI, *scans.LOGS, *BICOCCA, *FIELD)
@@ -328,9 +328,9 @@ def _table(title: str, pools: Mapping[str, list[Any]], cell: Callable[[list[Any]
     yield "|---|" + "---|" * (2 + len(SPIKES))
     for name, found in pools.items():
         true = sum(each["true"] for each in found)
-        false, known = len(found) - true, min(true, len(found) - true) >= FEW
-        cells = [cell(found, spike) if known else "–" for spike in SPIKES]
-        yield f"| {name} | {true} | {false} | {' | '.join(cells)} |"
+        false = len(found) - true
+        if min(true, false) >= FEW:
+            yield f"| {name} | {true} | {false} | {' | '.join(cell(found, spike) for spike in SPIKES)} |"
 
 
 def _rises(found: Sequence[Mapping[str, Any]], name: str, *, is_true: bool) -> NDArray[np.float64]:
