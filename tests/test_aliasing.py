@@ -60,6 +60,20 @@ def test_odometry_is_a_chain_of_similarities():
         assert np.linalg.norm(step.translation()) / scale == pytest.approx(true, abs=0.3)
 
 
+@pytest.mark.parametrize("kind", drift.KINDS)
+def test_odometry_errs_as_its_kind_says(kind):
+    truth = [gtsam.Pose3(gtsam.Rot3(), np.array([2.0 * k, 0, 0])) for k in range(2000)]
+    errors = drift.KINDS[kind]
+    found = drift.odometry(truth, np.random.default_rng(3), planar=True, scaled=False, errors=errors)
+    true = truth[0].between(truth[1])
+    off = np.abs([gtsam.Pose3.Logmap(true.between(step)) for step in found.steps])
+    yaw, ahead, sigma = off[:, 2], off[:, 3], drift.WALK[2] * np.sqrt(2.0)
+    if errors.bias <= 3:
+        assert np.median(yaw) == pytest.approx(0.67 * errors.walk * sigma, rel=0.4, abs=1e-9)
+    assert (yaw.max() > 0.1) == (kind == "bad steps")
+    assert (np.mean(ahead > 0.8) > 0.01) == (kind == "slips")
+
+
 @pytest.mark.parametrize("name", layouts.LAYOUTS)
 def test_every_world_is_driven_through_free_space_and_sensed(name):
     driven = worlds.drive(name, 1000, 60.0)
@@ -188,6 +202,16 @@ def test_trials_name_each_pair_once():
     assert len(set(wanted)) == len(wanted)
     assert {trial.setting for trial in wanted if trial.method == trials.SLOW} == {"right", "identity"}
     assert {trial.setting for trial in wanted if trial.method == "gate"} == set(worlds.TOLD)
+
+
+def test_drift_trials_try_every_kind_by_every_method():
+    wanted = list(trials.drift_trials(["offices"], [0]))
+    assert {(trial.setting, trial.method) for trial in wanted} == {
+        (kind, method) for kind in drift.KINDS for method in trials.DRIFT_METHODS
+    }
+    usual, other = (trials.problem("warehouse", 1001, kind, 1.0) for kind in ("the drift", "twice the drift"))
+    assert [c.at(0).keys() for c in usual.closures] == [c.at(0).keys() for c in other.closures]
+    assert not usual.graph.at(1).measured().equals(other.graph.at(1).measured(), 1e-6)
 
 
 def test_intervals_hold_their_mean_and_collapse_without_spread():

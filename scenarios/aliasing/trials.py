@@ -15,6 +15,7 @@ from scenarios.aliasing import field
 from scenarios.aliasing.helper import Helper
 from scenarios.aliasing.methods import METHODS
 from scenarios.problem import Problem
+from scenarios.worlds import drift
 from scenarios.worlds.layouts import LAYOUTS
 
 SHARES = (0.1, 0.5, 1.0)
@@ -25,6 +26,10 @@ SLOW = "Λ_glob rule"
 
 SUCCESS_M, SUCCESS_SHARE = 0.75, 0.05
 """A trajectory is a success below both: metres, and share of its extent."""
+
+
+DRIFT_METHODS = ("gate", "χ²", "PCM", "GNC-TLS", "DCS")
+"""Where the odometry errs in other ways: the gate and the methods that come nearest to it."""
 
 
 class Trial(NamedTuple):
@@ -49,6 +54,12 @@ def world_trials(names: Collection[str], seeds: Sequence[int]) -> Iterator[Trial
                 yield Trial(name, seed, told, share, method)
 
 
+def drift_trials(names: Collection[str], seeds: Sequence[int]) -> Iterator[Trial]:
+    """All kinds of drift at equal shares; sigmas are three times the walk's, by which other methods do best."""
+    for name, seed, kind, method in product(names, seeds, drift.KINDS, DRIFT_METHODS):
+        yield Trial(name, seed, kind, 1.0, method)
+
+
 def field_trials(paths: Sequence[Path], seeds: Sequence[int], methods: Sequence[str]) -> Iterator[Trial]:
     """All shares of random outliers, and all kinds at equal shares; the noise models are those of the files."""
     for path, seed, kind in product(paths, seeds, field.KINDS):
@@ -59,6 +70,8 @@ def field_trials(paths: Sequence[Path], seeds: Sequence[int], methods: Sequence[
 @functools.lru_cache(maxsize=2)
 def problem(world: str, seed: int, setting: str, share: float) -> Problem:
     """What a trial's method gets."""
+    if setting in drift.KINDS:
+        return worlds.problem(world, seed, "three times", share=share, errors=drift.KINDS[setting])
     if world in LAYOUTS:
         return worlds.problem(world, seed, setting, share=share)
     return field.problem(Path(world), seed, share, setting)

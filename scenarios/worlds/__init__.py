@@ -8,6 +8,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 from dataclasses import dataclass
 
@@ -104,8 +105,22 @@ def drive(world: str, seed: int, length_m: float | None = None) -> Drive:
     )
 
 
+def drifting(driven: Drive, errors: drift.Errors) -> Drive:
+    """The same drive by odometry that errs in another way; radii keep their size in the odometry's own scale."""
+    sensor, random = driven.layout.sensor, np.random.default_rng([driven.seed, 1])
+    found = drift.odometry(driven.truth, random, planar=sensor.planar, scaled=sensor.name == "camera", errors=errors)
+    radii = {key: radius * found.scales[key] / driven.odometry.scales[key] for key, radius in driven.radii.items()}
+    return dataclasses.replace(driven, odometry=found, radii=radii)
+
+
 def problem(
-    world: str, seed: int, told: str = "right", *, share: float = 1.0, length_m: float | None = None
+    world: str,
+    seed: int,
+    told: str = "right",
+    *,
+    share: float = 1.0,
+    length_m: float | None = None,
+    errors: drift.Errors = drift.USUAL,
 ) -> Problem:
     """The drive as methods get it.
 
@@ -120,8 +135,12 @@ def problem(
         False proposals per true one, as far as there are so many.
     length_m : float, optional
         Way driven; the layout's own without.
+    errors : Errors
+        Other ones than the usual are drawn anew, for the same drive.
     """
     driven = drive(world, seed, length_m)
+    if errors is not drift.USUAL:
+        driven = drifting(driven, errors)
     planar, start = driven.layout.sensor.planar, driven.truth[0]
     steps, matches = (_noise(sigmas, told, planar) for sigmas in (driven.odometry.sigmas, MATCH))
     graph, dim = gtsam.NonlinearFactorGraph(), 3 if planar else 6
