@@ -67,6 +67,7 @@ def test_closures_are_listed_filtered_and_chosen(tmp_path, monkeypatch):
     script = """
       const pause = () => new Promise((resume) => setTimeout(resume, 1000));
       document.body.dataset.first = byId("closure-title").textContent;
+      document.body.dataset.odds = byId("evidence").textContent;
       byId("show-rejected").click();
       await pause();
       byId("gated-table").querySelectorAll("tbody tr")[1].click();
@@ -85,6 +86,7 @@ def test_closures_are_listed_filtered_and_chosen(tmp_path, monkeypatch):
 
     # it opens at the least probable; the filter takes that away everywhere, a click chooses another
     assert 'data-first="Closure 0 – 4"' in body
+    assert 'data-odds="evidencelog oddsdrift−infinite"' in body
     rows = rows_of(dom, "gated-table")
     assert [text.split(" Drift")[0] for _, text in rows] == [
         "0 – 3 undecided 59.9 % – false",

@@ -69,7 +69,7 @@ function fillClosure(k) {
   const c = closures[k];
   const with_ = c.judged_with - 1;
   describe(byId("closure-facts"), [
-    ["verdict", c.verdict], ["probability", percent(c)], ["log odds", short(numberOf(c.log_odds))],
+    ["verdict", c.verdict], ["probability", percent(c)], ["log odds", signed(numberOf(c.log_odds))],
     ["Λ", change(c.score)], [symbol("Λ_glob"), change(c.global_score)],
     ["weighed with", with_ ? plural(with_, "other") : "no other"],
     ...(c.is_true === null ? [] : [["known to be", known(c)]]),
@@ -82,7 +82,8 @@ function fillClosure(k) {
   byId("reasons").replaceChildren(...c.reasons.map((reason) => element("li", {}, reason)));
 }
 
-const signed = (value) => (value > 0 ? `+${short(value)}` : short(value));
+/** A number with its sign, infinite ones in words. */
+const signed = (value) => (value === -Infinity ? `−${infinity}` : value > 0 ? `+${short(value)}` : short(value));
 
 function fillInput() {
   const { unjudged } = gated;
