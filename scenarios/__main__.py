@@ -97,7 +97,7 @@ def look_alike_worlds(
     limit: Annotated[float, typer.Option(help="Seconds after which a method has failed.")] = 300.0,
     out: Annotated[Path, typer.Option(help="A JSON line a trial; known ones are kept.")] = RESULTS / "worlds.jsonl",
 ) -> None:
-    """Seven ray-cast worlds that look alike: the gate and twelve other methods, told right and wrong sigmas. An hour."""
+    """Seven ray-cast worlds that look alike: the gate and twelve others, told right and wrong sigmas. An hour."""
     wanted = _names(names)
     unknown = sorted(set(wanted) - set(LAYOUTS))
     if unknown:
