@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import gtsam
 
@@ -87,20 +88,24 @@ class Offer:
 
 def made_anew(smoother: gtsam.ISAM2, size: int, new: set[int]) -> gtsam.ISAM2:
     """A smoother of the first factors of another one, in the same slots, and of its values but for the new ones."""
-    # its values, where it was linearised
     values = gtsam.Values(smoother.getLinearizationPoint())
     for key in new & set(values.keys()):
         values.erase(key)
+    graph = smoother.getFactorsUnsafe()
+    return smoother_of([graph.at(slot) for slot in range(size)], values, smoother.params())
 
-    # its factors; something else stands in empty slots until these are emptied
-    graph, factors = smoother.getFactorsUnsafe(), gtsam.NonlinearFactorGraph()
-    slots = [graph.at(slot) for slot in range(size)]
-    empty = [slot for slot, factor in enumerate(slots) if factor is None]
-    any_factor = next(factor for factor in slots if factor is not None)
+
+def smoother_of(slots: Sequence[Any], values: gtsam.Values, parameters: gtsam.ISAM2Params) -> gtsam.ISAM2:
+    """A smoother of some factors, each in its slot or None for an empty one, linearised at some values."""
+    found, any_factor = gtsam.ISAM2(parameters), next((factor for factor in slots if factor is not None), None)
+    if any_factor is None:
+        return found
+
+    # something else stands in empty slots until these are emptied
+    factors = gtsam.NonlinearFactorGraph()
     for factor in slots:
         factors.push_back(any_factor if factor is None else factor)
-    found = gtsam.ISAM2(smoother.params())
     found.update(factors, values)
-    if empty:
+    if empty := [slot for slot, factor in enumerate(slots) if factor is None]:
         found.update(gtsam.NonlinearFactorGraph(), gtsam.Values(), removeFactorIndices=empty)
     return found

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import islice
+from pathlib import Path
 from typing import Any
 
 import gtsam
@@ -31,6 +33,7 @@ from pgti_gtsam.gate.gate import Judgement, LoopClosureGate
 from pgti_gtsam.gate.history import GatedUpdate, Offer, Review, made_anew
 from pgti_gtsam.gate.kept_map import KeptMap, News
 from pgti_gtsam.gate.revisits import revisits
+from pgti_gtsam.gate.saved import Parts, State, decoded, encoded, read_state, write_whole
 from pgti_gtsam.gate.ties import free_space_unit
 from pgti_gtsam.pose_graph import Radii
 from pgti_gtsam.track import track_of
@@ -78,6 +81,47 @@ class GatedISAM2:
             )
         if not isinstance(self.gate, LoopClosureGate):
             raise InvalidOptionError(f"expected a LoopClosureGate as the gate, got {self.gate!r}")
+
+    def state(self) -> State:
+        """All of it but gate and parameters, as JSON-ready text and numbers; raises what `saved.encoded` raises."""
+        return encoded(Parts(smoother=self.smoother, radii=self.radii, offers=self._offers, kept=self._kept))
+
+    @classmethod
+    def resumed(
+        cls, state: State, parameters: gtsam.ISAM2Params | None = None, gate: LoopClosureGate | None = None
+    ) -> GatedISAM2:
+        """One that goes on where `state` was taken.
+
+        Parameters
+        ----------
+        state : dict
+        parameters, gate
+            As they were at the first start: they are not part of the state.
+
+        Raises
+        ------
+        InvalidGraphError, PgtiError
+            Those of `saved.decoded` and of `LoopClosureGate.reference_map`.
+        """
+        gate = LoopClosureGate() if gate is None else gate
+        parts = decoded(state, gtsam.ISAM2Params() if parameters is None else parameters, gate)
+        found = cls(parts.smoother, gate, parts.radii)
+        found._offers, found._kept = parts.offers, parts.kept
+        return found
+
+    def save(self, path: Path | str) -> None:
+        """Write `state` to a file, which is whole or as before even if the power fails."""
+        write_whole(json.dumps(self.state()), Path(path))
+
+    @classmethod
+    def load(
+        cls,
+        path: Path | str,
+        parameters: gtsam.ISAM2Params | None = None,
+        gate: LoopClosureGate | None = None,
+    ) -> GatedISAM2:
+        """Read what `save` wrote; see `resumed`."""
+        return cls.resumed(read_state(Path(path)), parameters, gate)
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("_"):
