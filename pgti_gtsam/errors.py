@@ -23,7 +23,7 @@ class FileFormatError(PgtiError):
     """
 
     def __init__(self, path: Path | str, message: str, *, line: int | None = None) -> None:
-        self.path, self.line = Path(path), line
+        self.path, self.line, self.message = Path(path), line, message
         super().__init__(f"{path}{'' if line is None else f', line {line}'}: {message}")
 
 

@@ -34,6 +34,7 @@ FLOORS = [
     "dense_map",
     "mend",
     "report",
+    "stream",
     "cli",
 ]
 MAY_IMPORT_GTSAM = {

@@ -41,6 +41,8 @@ def pose_edges(file: TextFile) -> list[Entry]:
     """
     entries = []
     for tag, (lead, size) in EDGES.items():
+        if tag not in file.tags:
+            continue
         layout = PLANE if size == 3 else SPACE
         table = file.table(tag, ids=2, widths=[lead + size + width for width in (0, *layout)], poses=2)
         matrices = information(file, table, table.numbers[:, lead + size :], layout, tag)

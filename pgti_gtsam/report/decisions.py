@@ -61,6 +61,13 @@ def _record(slot: int, decision: ClosureDecision, ends: Sequence[int]) -> Record
         "slot": slot,
         "keys": list(ends),
         "keyframes": [key_label(key) for key in ends],
+        **evidence(decision),
+    }
+
+
+def evidence(decision: ClosureDecision) -> Record:
+    """The verdict on a closure and why, as `decision_records` has them."""
+    return {
         "verdict": decision.verdict,
         "accepted": decision.accepted,
         "probability": _number(decision.probability),

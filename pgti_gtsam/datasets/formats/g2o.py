@@ -51,8 +51,8 @@ def parse(source: Source) -> Dataset:
     # poses and what ties them, in all dialects
     file = _without_negative_ids(source.file)
     cameras = camera_poses(file)
-    poses = {**_poses(file), **toro.vertices(file), **cameras.poses}
-    entries = [*pose_edges(file), *toro.edges(file), *camera_edges(file, cameras), *_positions(file)]
+    poses = {**pose_vertices(file), **toro.vertices(file), **cameras.poses}
+    entries = [*pose_edges(file), *toro.edges(file), *camera_edges(file, cameras), *positions(file)]
 
     # landmarks
     tagged = without_tags(file, poses, entries)
@@ -72,16 +72,19 @@ def parse(source: Source) -> Dataset:
     return replace(dataset, names=_names(dataset.values, keys, file.shift))
 
 
-def _poses(file: TextFile) -> dict[int, Pose]:
+def pose_vertices(file: TextFile) -> dict[int, Pose]:
+    """Stored poses by key; raises what `parse` does of their lines."""
     poses: dict[int, Pose] = {}
     for tag, width in POSES.items():
+        if tag not in file.tags:
+            continue
         table = file.table(tag, ids=1, widths=[width], poses=1)
         made = planar_poses(table.numbers) if width == 3 else quaternion_poses(file, table)
         poses |= by_identifier(file, tag, table, made, poses)
     return poses
 
 
-def _positions(file: TextFile) -> list[Entry]:
+def positions(file: TextFile) -> list[Entry]:
     """EDGE_SE3_PRIORXYZ: the position of a pose in the world, measured by a satellite receiver."""
     table = file.table(POSITION, ids=1, widths=[3 + width for width in (0, *POINT_3)], poses=1)
     models = information_models(file, table, information(file, table, table.numbers[:, 3:], POINT_3, POSITION))

@@ -1,0 +1,95 @@
+"""A session on disk: its state as a whole now and then, and every line since, so that nothing is lost between.
+
+The state stands in a file and the lines in another beside it, ``NAME.lines``. A line is written when it was taken and
+before it is answered: what is killed in between answers it when it is resumed, and a line that kills is not read again.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from pgti_gtsam.errors import FileFormatError
+from pgti_gtsam.gate import LoopClosureGate
+from pgti_gtsam.gate.saved import read_state, write_whole
+from pgti_gtsam.stream.session import Answer, Session
+
+EVERY = 2000
+"""Lines after which the state is written again. What is killed reads them again when it is resumed: some seconds."""
+
+SCHEMA, VERSION = "pgti-gtsam/stream-state", 1
+
+
+class Journal:
+    """Where a session is kept.
+
+    Parameters
+    ----------
+    path : Path
+        Of the state.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path, self.lines_path = path, path.with_name(path.name + ".lines")
+        self._lines: Any = None
+        self._count = 0
+
+    def opened(self, gate: LoopClosureGate, radius_m: float | None = None) -> tuple[Session, list[Answer]]:
+        """The session that was kept, or a new one, and what it says first.
+
+        That is where it goes on, and the answers to the lines since the state was last written, which may have got
+        lost: they hold ``"again": true``.
+
+        Raises
+        ------
+        FileFormatError
+            The file holds something else.
+        PgtiError
+            Those of `Session.resumed`.
+        """
+        if not self.path.exists():
+            session = Session.started(gate, radius_m)
+            self.save(session)
+            return session, []
+
+        # the state, and the lines since
+        state = read_state(self.path)
+        if state.get("schema") != SCHEMA or state.get("schema_version") != VERSION:
+            raise FileFormatError(self.path, f"expected a state of {SCHEMA} {VERSION}, got another; name another file")
+        session, again = Session.resumed(state["session"], gate), list[Answer]()
+        if radius_m is not None and session.isam.radii != radius_m:
+            raise FileFormatError(self.path, f"expected the radii that the map was begun with, got {radius_m:g} m")
+        for line in self._kept_lines(session.n_lines):
+            again += [{**answer, "again": True} for answer in session.answers(line)]
+        self.save(session)
+        where = {"line": session.n_lines, "keyframes": session.n_vertices, "undecided": session.undecided}
+        return session, [{"resumed": where}, *again]
+
+    def note(self, session: Session, line: bytes) -> None:
+        """Keep a line that a session took."""
+        self._lines.write(b"%d %b" % (session.n_lines, line))
+        self._lines.flush()
+        self._count += 1
+        if self._count >= EVERY:
+            self.save(session)
+
+    def save(self, session: Session) -> None:
+        """Write the state as a whole; the lines so far are part of it."""
+        self.close()
+        state = {"schema": SCHEMA, "schema_version": VERSION, "session": session.state()}
+        write_whole(json.dumps(state), self.path)
+        self._lines, self._count = self.lines_path.open("wb"), 0
+
+    def close(self) -> None:
+        """Let go of the file of lines."""
+        if self._lines is not None:
+            self._lines.close()
+
+    def _kept_lines(self, after: int) -> list[str]:
+        """Lines behind the state, whole ones only."""
+        if not self.lines_path.exists():
+            return []
+        raw = self.lines_path.read_bytes().split(b"\n")[:-1]
+        numbered = [line.decode("utf-8", "replace").partition(" ") for line in raw]
+        return [text for number, _, text in numbered if int(number) > after]

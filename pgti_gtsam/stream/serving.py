@@ -1,0 +1,57 @@
+"""A session between two streams of bytes."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from typing import Protocol
+
+from pgti_gtsam.stream.journal import Journal
+from pgti_gtsam.stream.session import Answer, Session
+
+
+class Sink(Protocol):
+    """Where answers go."""
+
+    def write(self, data: bytes, /) -> object:
+        """Take bytes."""
+
+    def flush(self) -> object:
+        """Hand on what was taken."""
+
+
+def serve(session: Session, lines: Iterable[bytes], sink: Sink, journal: Journal | None = None) -> None:
+    """Answer lines until they end, each at once.
+
+    Parameters
+    ----------
+    session : Session
+    lines : iterable of bytes
+        With their line breaks. One without is the last, cut off.
+    sink : Sink
+        Takes a JSON object a line.
+    journal : Journal, optional
+        Where the session is kept.
+    """
+    rest = b""
+    for line in lines:
+        if not line.endswith(b"\n"):
+            rest = line
+            break
+        answers = session.answers(line.decode("utf-8", "replace"))
+        if journal is not None:
+            journal.note(session, line)
+        tell(answers, sink)
+    answers = session.end(rest.decode("utf-8", "replace"))
+    if journal is not None:
+        journal.save(session)
+        journal.close()
+    tell(answers, sink)
+
+
+def tell(answers: Iterable[Answer], sink: Sink) -> None:
+    """Write answers as strict JSON, one a line, and hand them on."""
+    text = "".join(json.dumps(answer, allow_nan=False, ensure_ascii=False) + "\n" for answer in answers)
+    if text:
+        sink.write(text.encode())
+        sink.flush()
