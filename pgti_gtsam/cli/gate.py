@@ -30,6 +30,7 @@ from pgti_gtsam.cli.options import (
     split_names,
     terminal,
 )
+from pgti_gtsam.cli.stream import check_alone, serve_socket, serve_standard_input
 from pgti_gtsam.datasets import Dataset
 from pgti_gtsam.datasets.chain import between_factors
 from pgti_gtsam.datasets.formats import gtsam_archive
@@ -51,10 +52,16 @@ from pgti_gtsam.report.terminal import print_closures, print_decisions, print_he
 
 ARCHIVES = (gtsam_archive.NAME, gtsam_archive.XML_NAME)
 Tell = Callable[[str, int, int], None]
+MapOrStream = Annotated[
+    list[Path] | None,
+    typer.Argument(
+        help="Map with loop closures, of any kind that audit reads; none with --stream.", show_default=False
+    ),
+]
 
 
 def gate(
-    file: Map,
+    file: MapOrStream = None,
     values: Values = None,
     loops: Loops = None,
     one_map: OneMap = False,
@@ -82,8 +89,31 @@ def gate(
     rejected: Annotated[
         Path | None, typer.Option(help="Write the closures that fail, a line each: the two identifiers in FILE.")
     ] = None,
+    stream: Annotated[
+        bool, typer.Option("--stream", help="Read lines of a running pipeline, answer each closure at once as JSON.")
+    ] = False,
+    socket: Annotated[
+        Path | None, typer.Option(metavar="PATH", help="The same for any number of clients on this Unix socket.")
+    ] = None,
+    state: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="Keep the stream's map in this file; go on from there where the file exists."
+        ),
+    ] = None,
 ) -> None:
-    """Judge the loop closures of a graph, and write the graph without those that fail."""
+    """Judge the loop closures of a graph, and write the graph without those that fail; or of a running pipeline."""
+    judge = _gate(edges, min_shared_landmarks, rule=rule, min_probability=min_probability, scores=scores)
+    of_files = {"a FILE": file, "--values": values, "--loops": loops, "--one-map": one_map, "--cloud": cloud}
+    of_files |= {"--ignore-unknown": ignore_unknown, "--every": every != 1, "--decisions": decisions, "--json": json}
+    of_files |= {"--html": html, "--out": out, "--out-values": out_values, "--rejected": rejected}
+    check_alone(of_files, state, socket, stream=stream)
+    if socket is not None:
+        return serve_socket(judge, radius, socket)
+    if stream:
+        return serve_standard_input(judge, radius, state)
+    if not file:
+        raise InvalidOptionError("expected a FILE, or --stream for the lines of a running pipeline, got neither")
     files = MapFiles(files=file, values=values, loops=loops, one_map=one_map, ignore_unknown=ignore_unknown)
     files.check_outputs([decisions, json, html, out, out_values, rejected], cloud)
     started = time.perf_counter()
@@ -99,7 +129,7 @@ def gate(
             dataset.values,
             radii,
             closures=dataset.closures,
-            gate=_gate(edges, min_shared_landmarks, rule=rule, min_probability=min_probability, scores=scores),
+            gate=judge,
             progress=lambda done, of: tell("judging closures", done, of),
         )
         records = decision_records(

@@ -63,7 +63,7 @@ class Journal:
         for line in self._kept_lines(session.n_lines):
             again += [{**answer, "again": True} for answer in session.answers(line)]
         self.save(session)
-        where = {"line": session.n_lines, "keyframes": session.n_vertices, "undecided": session.undecided}
+        where = {"line": session.n_lines, "variables": session.n_variables, "undecided": session.undecided}
         return session, [{"resumed": where}, *again]
 
     def note(self, session: Session, line: bytes) -> None:
@@ -76,15 +76,17 @@ class Journal:
 
     def save(self, session: Session) -> None:
         """Write the state as a whole; the lines so far are part of it."""
-        self.close()
+        if self._lines is not None:
+            self._lines.close()
         state = {"schema": SCHEMA, "schema_version": VERSION, "session": session.state()}
         write_whole(json.dumps(state), self.path)
         self._lines, self._count = self.lines_path.open("wb"), 0
 
-    def close(self) -> None:
-        """Let go of the file of lines."""
-        if self._lines is not None:
-            self._lines.close()
+    def end(self, session: Session) -> None:
+        """Write the state a last time; no line is left beside it."""
+        self.save(session)
+        self._lines.close()
+        self.lines_path.unlink()
 
     def _kept_lines(self, after: int) -> list[str]:
         """Lines behind the state, whole ones only."""

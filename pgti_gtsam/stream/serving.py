@@ -44,8 +44,7 @@ def serve(session: Session, lines: Iterable[bytes], sink: Sink, journal: Journal
         tell(answers, sink)
     answers = session.end(rest.decode("utf-8", "replace"))
     if journal is not None:
-        journal.save(session)
-        journal.close()
+        journal.end(session)
     tell(answers, sink)
 
 

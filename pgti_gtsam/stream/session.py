@@ -155,7 +155,7 @@ class Session:
         return found
 
     @property
-    def n_vertices(self) -> int:
+    def n_variables(self) -> int:
         """How many variables the map has, landmarks included."""
         return int(self.isam.getLinearizationPoint().size())
 
@@ -227,8 +227,8 @@ class Session:
             except PgtiError as error:
                 answers.append(_refusal(tie.line, tie.message.name, error))
                 continue
-            for key in missing:
-                pending.extend(self._early.pop(key, ()))
+            freed = [waiting for key in missing for waiting in self._early.pop(key, ())]
+            pending.extend(sorted(freed, key=lambda waiting: max(waiting.keys) - min(waiting.keys)))  # steps first
         return answers
 
     def _value(self, tie: Tie, missing: Sequence[int]) -> Any | None:

@@ -1,0 +1,118 @@
+"""`pgti-gtsam gate --stream` and `--socket`: a running pipeline on standard input, or several on a Unix socket."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import socketserver
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import typer
+
+from pgti_gtsam.errors import InvalidOptionError
+from pgti_gtsam.gate import LoopClosureGate
+from pgti_gtsam.stream import Journal, Session, serve
+from pgti_gtsam.stream.serving import tell
+
+ENDING = (signal.SIGINT, signal.SIGTERM)
+
+
+def check_alone(others: Mapping[str, Any], state: Path | None, address: Path | None, *, stream: bool) -> None:
+    """Refuse what does not go with a stream, and what goes with a stream alone.
+
+    Parameters
+    ----------
+    others : mapping
+        Options of files, by name; those that were given are true.
+    """
+    if not stream and address is None:
+        if state is not None:
+            raise InvalidOptionError("expected --state with --stream, which it keeps, got it without")
+        return
+    given = next((name for name, value in others.items() if value), None)
+    if given is not None:
+        raise InvalidOptionError(f"expected a stream alone, got {given} too; files are for gate without --stream")
+    if address is not None and (state is not None or stream):
+        name = "--state" if state is not None else "--stream"
+        raise InvalidOptionError(f"expected --socket alone, got {name} too: each client has a map of its own")
+
+
+def serve_standard_input(gate: LoopClosureGate, radius_m: float | None, state: Path | None) -> None:
+    """Answer the lines of standard input on standard output; exit code 1 where nobody reads the answers any more."""
+    journal = None if state is None else Journal(state)
+    session, first = (Session.started(gate, radius_m), []) if journal is None else journal.opened(gate, radius_m)
+    try:
+        tell(first, sys.stdout.buffer)
+        serve(session, sys.stdin.buffer, sys.stdout.buffer, journal)
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what is left to flush goes nowhere
+        raise typer.Exit(1) from None
+
+
+def serve_socket(gate: LoopClosureGate, radius_m: float | None, path: Path) -> None:
+    """Answer any number of clients on a Unix socket, each with a map and a process of its own, until told to end."""
+    _make_room(path)
+    with _Server(str(path), gate, radius_m) as server:
+        for number in ENDING:
+            signal.signal(number, server.end)
+        try:
+            while not server.ends:
+                server.handle_request()
+        finally:
+            for process in server.active_children or ():
+                os.kill(process, signal.SIGTERM)
+            path.unlink(missing_ok=True)
+
+
+def _make_room(path: Path) -> None:
+    """Remove a socket that a server left behind; refuse one that is served, and a file that is none."""
+    if not path.exists():
+        return
+    if not path.is_socket():
+        raise InvalidOptionError(f"expected the name of a new socket, got the file {path}")
+    with socket.socket(socket.AF_UNIX) as probe:
+        try:
+            probe.connect(str(path))
+        except ConnectionRefusedError:
+            path.unlink()
+            return
+    raise InvalidOptionError(f"expected a socket of this server alone, got {path}, which another one serves")
+
+
+class _Client(socketserver.StreamRequestHandler):
+    """One client of a socket, in a process of its own, which a signal ends."""
+
+    server: _Server
+
+    def handle(self) -> None:
+        for number in ENDING:
+            signal.signal(number, signal.SIG_DFL)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDING)
+        try:
+            serve(Session.started(self.server.gate, self.server.radius_m), self.rfile, self.wfile)
+        except (BrokenPipeError, ConnectionResetError):  # the client has gone
+            return
+
+
+class _Server(socketserver.ForkingMixIn, socketserver.UnixStreamServer):
+    """A process a client: none waits for another's decision."""
+
+    timeout = 0.2  # s, after which it looks whether it is to end
+
+    def __init__(self, path: str, gate: LoopClosureGate, radius_m: float | None) -> None:
+        super().__init__(path, _Client)
+        self.gate, self.radius_m, self.ends = gate, radius_m, False
+
+    def end(self, *_: object) -> None:
+        """Take no more clients."""
+        self.ends = True
+
+    def process_request(self, request: Any, client_address: Any) -> None:
+        """Fork; a signal waits until the client's process can be ended by it."""
+        signal.pthread_sigmask(signal.SIG_BLOCK, ENDING)
+        super().process_request(request, client_address)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDING)
