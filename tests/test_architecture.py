@@ -47,6 +47,7 @@ MAY_IMPORT_GTSAM = {
     "diffusion",
     "datasets",
     "mend",
+    "stream",
 }
 
 

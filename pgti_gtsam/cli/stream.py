@@ -13,6 +13,7 @@ from typing import Any
 
 import typer
 
+from pgti_gtsam.cli.options import CLOSED_PIPE, discard_output
 from pgti_gtsam.errors import InvalidOptionError
 from pgti_gtsam.gate import LoopClosureGate
 from pgti_gtsam.stream import Journal, Session, serve
@@ -42,15 +43,15 @@ def check_alone(others: Mapping[str, Any], state: Path | None, address: Path | N
 
 
 def serve_standard_input(gate: LoopClosureGate, radius_m: float | None, state: Path | None) -> None:
-    """Answer the lines of standard input on standard output; exit code 1 where nobody reads the answers any more."""
+    """Answer the lines of standard input on standard output; exit code 141 where nobody reads the answers any more."""
     journal = None if state is None else Journal(state)
     session, first = (Session.started(gate, radius_m), []) if journal is None else journal.opened(gate, radius_m)
     try:
         tell(first, sys.stdout.buffer)
         serve(session, sys.stdin.buffer, sys.stdout.buffer, journal)
     except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what is left to flush goes nowhere
-        raise typer.Exit(1) from None
+        discard_output()
+        raise typer.Exit(CLOSED_PIPE) from None
 
 
 def serve_socket(gate: LoopClosureGate, radius_m: float | None, path: Path) -> None:

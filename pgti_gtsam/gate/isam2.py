@@ -11,6 +11,7 @@ from typing import Any
 
 import gtsam
 
+from pgti_gtsam import outputs
 from pgti_gtsam.adapter.values import read_keyframes
 from pgti_gtsam.errors import (
     InvalidClosureError,
@@ -33,7 +34,7 @@ from pgti_gtsam.gate.gate import Judgement, LoopClosureGate
 from pgti_gtsam.gate.history import GatedUpdate, Offer, Review, made_anew
 from pgti_gtsam.gate.kept_map import KeptMap, News
 from pgti_gtsam.gate.revisits import revisits
-from pgti_gtsam.gate.saved import Parts, State, decoded, encoded, read_state, write_whole
+from pgti_gtsam.gate.saved import Parts, State, decoded, encoded, read_state
 from pgti_gtsam.gate.ties import free_space_unit
 from pgti_gtsam.pose_graph import Radii
 from pgti_gtsam.track import track_of
@@ -111,7 +112,7 @@ class GatedISAM2:
 
     def save(self, path: Path | str) -> None:
         """Write `state` to a file, which is whole or as before even if the power fails."""
-        write_whole(json.dumps(self.state()), Path(path))
+        outputs.write_text(path, json.dumps(self.state()))
 
     @classmethod
     def load(

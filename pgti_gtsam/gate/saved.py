@@ -8,7 +8,6 @@ from the factors and the estimate that it was made of, so that the next verdicts
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -113,23 +112,8 @@ def decoded(state: State, parameters: gtsam.ISAM2Params, gate: LoopClosureGate) 
     )
 
 
-def write_whole(text: str, path: Path) -> None:
-    """Write a file that is there as a whole or as it was before, whatever happens: beside its name, then renamed."""
-    beside = path.with_name(path.name + ".new")
-    with beside.open("w", encoding="utf-8") as file:
-        file.write(text)
-        file.flush()
-        os.fsync(file.fileno())
-    beside.replace(path)
-    folder = os.open(path.parent, os.O_RDONLY)
-    try:
-        os.fsync(folder)
-    finally:
-        os.close(folder)
-
-
 def read_state(path: Path) -> State:
-    """A file that `write_whole` wrote, as JSON.
+    """A state's file as JSON.
 
     Raises
     ------

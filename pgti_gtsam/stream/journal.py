@@ -10,9 +10,10 @@ import json
 from pathlib import Path
 from typing import Any
 
+from pgti_gtsam import outputs
 from pgti_gtsam.errors import FileFormatError
 from pgti_gtsam.gate import LoopClosureGate
-from pgti_gtsam.gate.saved import read_state, write_whole
+from pgti_gtsam.gate.saved import read_state
 from pgti_gtsam.stream.session import Answer, Session
 
 EVERY = 2000
@@ -79,7 +80,7 @@ class Journal:
         if self._lines is not None:
             self._lines.close()
         state = {"schema": SCHEMA, "schema_version": VERSION, "session": session.state()}
-        write_whole(json.dumps(state), self.path)
+        outputs.write_text(self.path, json.dumps(state))
         self._lines, self._count = self.lines_path.open("wb"), 0
 
     def end(self, session: Session) -> None:
