@@ -61,7 +61,7 @@ def test_the_optimum_is_audited_where_that_is_asked_for(run, tmp_path):
     stale = SQUARE.replace("VERTEX_SE2 2 5 5 3.14", "VERTEX_SE2 2 9 5 3.14")
     (tmp_path / "stale.g2o").write_text(stale)
     _, as_stored, _ = run("audit", tmp_path / "stale.g2o", "--radius", 0.3)
-    assert as_stored.startswith("The estimate is no optimum")
+    assert 0 < as_stored.index("The estimate is no optimum") < as_stored.index("Scores")
     assert "--optimise" in as_stored
     _, best, _ = run("audit", tmp_path / "stale.g2o", "--radius", 0.3, "--optimise")
     assert best.startswith("stale: ")

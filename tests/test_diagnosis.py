@@ -88,8 +88,9 @@ def test_a_false_closure_is_named_and_places_that_it_folds_are_laid_to_its_charg
     assert [closure.is_false for closure in found.closures[:2]] == [True, False]
     assert set(kinds(found)) <= {"likely false closure"}
     for place in found.places:
-        if place.kind == "likely false closure":
-            assert "4 – " in place.remedy
+        is_folded = place.kind == "likely false closure"
+        assert place.closure == ((4, 4 + lap // 2) if is_folded else None)
+        assert (f"4 – {4 + lap // 2}" in place.remedy) == is_folded
 
 
 @pytest.mark.parametrize("shift", [0.0, 1.0, 2.0])

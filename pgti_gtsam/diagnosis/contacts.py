@@ -263,11 +263,11 @@ class Contacts:
             sentence="",
             remedy="",
             proposal=None if kind in ("incomplete fusion", "different view") else self._proposal(contact.closest),
+            closure=self._blamed(contact) if kind == "likely false closure" else None,
         )
 
         # the words that they make
-        blamed = self._blamed(contact) if kind == "likely false closure" else None
-        sentence, remedy = words.place_words(place, self.labels, blamed)
+        sentence, remedy = words.place_words(place, self.labels)
         return replace(place, sentence=sentence, remedy=remedy)
 
     def _blamed(self, contact: Revisit) -> tuple[int, int]:

@@ -77,6 +77,9 @@ class Place:
     sentence, remedy : str
     proposal : Proposal or None
         None where no tie leads between the stretches, or none is wanted.
+    closure : (int, int) or None
+        Keyframes of the false closure that brings the stretches into contact, the earlier first; None of other kinds
+        than a likely false closure.
     """
 
     kind: Kind
@@ -92,6 +95,7 @@ class Place:
     sentence: str
     remedy: str
     proposal: Proposal | None
+    closure: tuple[int, int] | None
 
     @property
     def keyframes(self) -> tuple[tuple[int, int], tuple[int, int]]:

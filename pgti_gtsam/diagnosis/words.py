@@ -12,13 +12,13 @@ from pgti_gtsam.gate.decision import metres
 from pgti_gtsam.integrity import Integrity
 
 
-def place_words(place: Place, labels: Sequence[str], blamed: tuple[int, int] | None) -> tuple[str, str]:
-    """Why a place is named, and what to do; `blamed` are the ends of the closure that is at fault, where one is."""
+def place_words(place: Place, labels: Sequence[str]) -> tuple[str, str]:
+    """Why a place is named, and what to do."""
     earlier, later = (_stretch(ends, labels) for ends in place.keyframes)
     first, second = (labels[k] for k in place.revisit.closest)
     drift = f"drift {metres(place.allowance_m)}, spheres {metres(place.reach_m)}"
     tie = _tie(place.proposal, labels)
-    false = " – ".join(labels[k] for k in blamed or ())
+    false = " – ".join(labels[k] for k in place.closure or ())
     said: dict[str, tuple[str, str]] = {
         "likely false closure": (
             f"{later} touches {earlier} only through a closure that all others contradict.",
@@ -39,7 +39,8 @@ def place_words(place: Place, labels: Sequence[str], blamed: tuple[int, int] | N
             f"Tie {first} and {second} by odometry or a match.",
         ),
         "different view": (
-            f"{later} comes near {earlier}, but they have no common view: a wall or another look lies between.",
+            f"{later} comes near {earlier}, but neither sees what the other sees: a wall or a floor parts them, or "
+            "they look different ways.",
             "Nothing to tie.",
         ),
         "incomplete fusion": (

@@ -195,6 +195,7 @@ def _place(rank: int, place: Place, diagnosis: Diagnosis) -> Document:
         "reach_m": place.reach_m,
         "gain": _number(place.gain),
         "proposal": None if place.proposal is None else _proposal(place.proposal),
+        "closure": None if place.closure is None else list(place.closure),
     }
 
 

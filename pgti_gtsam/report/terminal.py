@@ -49,14 +49,15 @@ def _heading(document: Mapping[str, Any]) -> RenderableType:
     title = Text.assemble(
         (document["input"]["name"], "bold"), ": ", (judged["level"], f"bold {_COLOURS[judged['level']]}")
     )
+    answer = Group(title, Text(judged["text"]))
     if estimate is None or estimate["is_optimum"]:
-        return Group(title, Text(judged["text"]))
+        return answer
     label = document["keyframes"]["label"][estimate["keyframe"]]
     stale = (
         f"The estimate is no optimum of its graph (error {estimate['error']:.4g}): one step moves keyframe {label} by "
-        f"{estimate['step_m']:.3g} m. All that follows is of the map as it is stored; --optimise audits the optimum."
+        f"{estimate['step_m']:.3g} m. All of this is of the map as stored; --optimise audits the optimum."
     )
-    return Group(Text(stale, style="yellow"), title, Text(judged["text"]))
+    return Group(answer, Text(stale, style="yellow"))
 
 
 def _section(title: str, body: RenderableType) -> RenderableType:
@@ -162,7 +163,8 @@ def _places(document: Mapping[str, Any]) -> RenderableType:
         table.add_row(str(place["rank"]), Text(place["kind"], style=_KIND_COLOURS[place["kind"]]), said)
     hidden = len(places) - MAX_PLACES
     more = [f"and {hidden} more, in the JSON and on the page (--json, --html)"] if hidden > 0 else []
-    more.append("drift: how far the two may lie apart, given all ties; spheres: what their radii reach together")
+    if any("(drift " in place["sentence"] for place in places[:MAX_PLACES]):
+        more.append("drift: how far the two may lie apart, given all ties; spheres: what their radii reach together")
     return Group(table, *(Text(line, style="dim") for line in more))
 
 

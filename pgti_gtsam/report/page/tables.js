@@ -99,8 +99,9 @@ function fillPlaces(choose) {
 function describePlace(k) {
   const said = () => {
     const p = places[k];
-    return `Place ${p.rank}: the two stretches run through the same space with probability ${probability(p.probability)}. ` +
-      `Allowance ${lengthOf(p.allowance_m)}, reach ${lengthOf(p.reach_m)}. ${plural(p.edges.length, "overlap")} that a tie ` +
+    const by = p.closure ? `Brought about by the closure ${closureLabel({ keyframes: p.closure })}. ` : "";
+    return `Place ${p.rank}. ${by}The contact is real, not made by drift, with probability ${probability(p.probability)}. ` +
+      `Drift allows ${lengthOf(p.allowance_m)}, spheres reach ${lengthOf(p.reach_m)}. ${plural(p.edges.length, "overlap")} that a tie ` +
       `explains; gain ${short(p.gain)}. ζ up to ${short(p.score)}, mostly ${p.scale}; stable score ${short(p.stable_score)}.`;
   };
   byId("places-hint").textContent =
