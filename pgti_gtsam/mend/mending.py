@@ -4,7 +4,7 @@
 2. The audit names the places that are untied, and the drift model says how far the drift lets them be.
 3. Each is matched by what its keyframes saw, within that region.
 4. What the sensors confirm goes through the gate like any other closure; what passes is in, and the map is optimised.
-5. The better map predicts better: 2 to 4 again, until nothing more is confirmed.
+5. The better map predicts better: 2 to 4 again, until nothing is left to try.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from pgti_gtsam.pose_graph import Radii, key_label
 from pgti_gtsam.track import track_of
 
 MOST_ROUNDS = 8
-"""Times that the map is audited anew. Fewer do on all maps tried."""
+"""Times that the map is audited anew, and other pairs of its untied places are tried."""
 
 MOST_CHECKS = 3
 """Times that ties which all others put elsewhere are taken out again."""
@@ -132,26 +132,27 @@ class _Mending:
     round: int = 0
 
     def tie_places(self) -> None:
-        """Rounds of audit, matching and gate, until nothing more is confirmed."""
+        """Rounds of audit, matching and gate, until nothing is left to try."""
         while self.round < MOST_ROUNDS:
             self.round += 1
             self.progress(f"round {self.round}: auditing")
             diagnosis, reference = self._diagnosis(), self._reference()
-            wanted = [each for each in wanted_ties(diagnosis, reference) if self._is_worth(each)]
+            wanted = wanted_ties(diagnosis, reference, self._is_known)
             submaps, unit = self._submaps(reference), sigma_unit(self.graph, reference)
             found = [
                 self._matched(each, submaps, unit, f"round {self.round}: matching {k} of {len(wanted)}")
                 for k, each in enumerate(wanted, start=1)
             ]
-            if not self.offer(found, reference):
+            if not found:
                 break
+            self.offer(found, reference)
 
-    def _is_worth(self, wanted: Wanted) -> bool:
-        """Whether a pair was not tried already within a region about as small."""
-        known = self.attempts.get(wanted.keys)
-        if known is None or known.wanted is None:
-            return known is None
-        return known.outcome != "confirmed" and wanted.allowance_m < SMALLER * known.wanted.allowance_m
+    def _is_known(self, keys: tuple[int, int], allowance_m: float) -> bool:
+        """Whether a pair is tied, or was tried within a region that was about as small."""
+        known = self.attempts.get(keys)
+        if known is None:
+            return False
+        return known.outcome == "confirmed" or known.wanted is None or allowance_m > SMALLER * known.wanted.allowance_m
 
     def _matched(self, wanted: Wanted, submaps: Submaps, sigmas: float, said: str) -> Attempt:
         """A tie tried by what its keyframes saw."""
@@ -176,12 +177,12 @@ class _Mending:
             round=self.round,
         )
 
-    def offer(self, found: Sequence[Attempt], reference: ReferenceMap | None = None) -> bool:
-        """Let the gate judge ties, take in what passes, and optimise; whether anything passed."""
+    def offer(self, found: Sequence[Attempt], reference: ReferenceMap | None = None) -> None:
+        """Let the gate judge ties, take in what passes, and optimise."""
         offered = [attempt for attempt in found if attempt.outcome == "confirmed"]
         self.attempts |= {attempt.keys: attempt for attempt in found}
         if not offered:
-            return False
+            return
         reference = reference or self._reference()
         judged = self.gate.judge(reference, [checked_closure(attempt.factor, self.values) for attempt in offered])
         decided = [_decided(attempt, decision) for attempt, decision in zip(offered, judged.decisions, strict=True)]
@@ -190,13 +191,12 @@ class _Mending:
         # what passed
         passed = [attempt for attempt in decided if attempt.outcome == "confirmed"]
         if not passed:
-            return False
+            return
         grown = gtsam.NonlinearFactorGraph(self.graph)
         for attempt in passed:
             self.slots[grown.size()] = attempt.keys
             grown.push_back(attempt.factor)
         self.graph, self.values = grown, optimum(grown, self.values, judged.settled, reference.pose_graph)
-        return True
 
     def audited(self) -> Diagnosis:
         """The audit of the mended map, without ties that the others put elsewhere after all."""

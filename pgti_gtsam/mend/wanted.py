@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -25,7 +27,9 @@ LOOSE = OFFSET
 Pairs = NDArray[np.int64]
 
 
-def wanted_ties(diagnosis: Diagnosis, reference: ReferenceMap) -> list[Wanted]:
+def wanted_ties(
+    diagnosis: Diagnosis, reference: ReferenceMap, is_known: Callable[[tuple[int, int], float], bool]
+) -> list[Wanted]:
     """Ties that a map lacks, those of the audit's places first, among equals the surest predictions first.
 
     Parameters
@@ -34,6 +38,9 @@ def wanted_ties(diagnosis: Diagnosis, reference: ReferenceMap) -> list[Wanted]:
         Of the map.
     reference : ReferenceMap
         Of the same map.
+    is_known : callable
+        Whether a pair of keys was tried already, with no larger an allowance in m: another pair of the same place may
+        see more.
     """
     # overlaps of stretches far apart on the track, one for each neighbourhood
     pose_graph, integrity = diagnosis.pose_graph, diagnosis.integrity
@@ -54,6 +61,8 @@ def wanted_ties(diagnosis: Diagnosis, reference: ReferenceMap) -> list[Wanted]:
     spreads = reference.settled.covariances(pairs) * own.drift_scale**2
     allowances = reference.settled.model.allowances_m(spreads)
     loose = np.isfinite(allowances) & (allowances > LOOSE * diagnosis.unit_m)
+    ends = [(int(i), int(j)) for i, j in pose_graph.keys[pairs].tolist()]
+    loose &= [not is_known(keys, allowed) for keys, allowed in zip(ends, allowances.tolist(), strict=True)]
     pairs, spreads, allowances = pairs[loose], spreads[loose], allowances[loose]
     apart = _spaced(along[pairs])
     found = [

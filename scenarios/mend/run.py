@@ -1,0 +1,44 @@
+"""All experiments, and the JSON that they are kept in: what is known is not run again."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from scenarios.mend import aces, logs, worlds
+
+Found = dict[str, list[dict[str, Any]]]
+
+
+def run(data: Path | None, seeds: Sequence[int], out: Path, tell: Callable[[str], None]) -> Found:
+    """Run what is not in `out` yet, and write each row as soon as it is there.
+
+    Parameters
+    ----------
+    data : Path or None
+        Folder of all data; worlds only without.
+    seeds : sequence of int
+        Of thinned loops and of drives; logs without loops, and intact ones, are run once.
+    """
+    found: Found = json.loads(out.read_text(encoding="utf-8")) if out.is_file() else {}
+
+    def keep(table: str, known: dict[str, Any], make: Callable[[], dict[str, Any]]) -> None:
+        rows = found.setdefault(table, [])
+        if any(all(row.get(key) == value for key, value in known.items()) for row in rows):
+            return
+        rows.append({**known, **make()})
+        tell(f"{table}: {known}")
+        out.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+
+    for log, kind in [(log, kind) for kind in logs.KINDS for log in logs.LOGS] if data is not None else []:
+        for seed in seeds if kind.startswith("a tenth") else seeds[:1]:
+            path = Path(data or "") / "scan_pose_graphs" / f"{log}.log"
+            keep("logs", {"log": log, "kind": kind, "seed": seed}, lambda p=path, k=kind, s=seed: logs.row(p, k, s))
+    for world in worlds.WORLDS:
+        for seed in seeds:
+            keep("worlds", {"world": world, "seed": seed}, lambda w=world, s=seed: worlds.row(w, s))
+    if data is not None:
+        keep("aces", {"log": "aces"}, lambda: aces.row(Path(data) / "radish_aces" / "aces.clf.bz2"))
+    return found

@@ -1,0 +1,71 @@
+"""Tables of what mending did, from the JSON of the runs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+Row = Mapping[str, Any]
+
+
+def lines(found: Mapping[str, Sequence[Row]]) -> list[str]:
+    """All tables as Markdown."""
+    told: list[str] = []
+    if found.get("logs"):
+        head = ["log", "loops", "seed", "given", "ties in", "false in", "false out", "true out", "collisions"]
+        rows = [_log(row) for row in found["logs"]]
+        told += _table([*head, "ATE before, after, full (m)", "cells before, after, full, published"], rows)
+    if found.get("aces"):
+        for row in found["aces"]:
+            told += [
+                f"aces: {row['n_keyframes']} keyframes, {row['confirmed']} ties in {row['seconds']:.0f} s; brute force "
+                f"{row['n_brute_force']} fits, with GNC {row['seconds_gnc']:.0f} s",
+                "",
+            ]
+            errors = [
+                [name, *(f"{each[key]:.3f}" for key in ("mean_m", "median_m", "worst_m")), f"{each['mean_deg']:.2f}"]
+                for name, each in row["errors"].items()
+            ]
+            told += _table(["map", "mean (m)", "median (m)", "worst (m)", "mean (deg)"], errors)
+    if found.get("worlds"):
+        head = ["world", "seed", "keyframes", "ties in", "false in", "wrong floor", "naive: ties, false, wrong floor"]
+        rows = [_world(row) for row in found["worlds"]]
+        told += _table([*head, "ATE before, after (m)", "verdict", "seconds"], rows)
+    return told
+
+
+def _log(row: Row) -> list[str]:
+    ate, cells, collisions = row["ate_m"], row["cells"], row["collisions"]
+    return [
+        row["log"],
+        row["kind"],
+        str(row["seed"]),
+        str(row["n_loops"]),
+        str(row["confirmed"]),
+        str(row["false_in"]),
+        f"{row['false_out']} of {row['n_false']}",
+        str(row["true_out"]),
+        f"{collisions['before']} → {collisions['after']} ({collisions['full']})",
+        f"{ate['before']:.3f}, {ate['after']:.3f}, {ate['full']:.3f}",
+        ", ".join(str(cells[name]) for name in ("before", "after", "full", "published")),
+    ]
+
+
+def _world(row: Row) -> list[str]:
+    return [
+        row["world"],
+        str(row["seed"]),
+        str(row["n_keyframes"]),
+        str(row["confirmed"]),
+        str(row["false_in"]),
+        str(row["wrong_floor"]),
+        f"{row['naive']}, {row['naive_false']}, {row['naive_wrong_floor']}",
+        f"{row['ate_before_m']:.2f}, {row['ate_m']:.2f}",
+        f"{row['verdict_before']} → {row['verdict']}",
+        f"{row['seconds']:.0f}",
+    ]
+
+
+def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    ruled = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
+    return [*ruled, *("| " + " | ".join(row) + " |" for row in rows), ""]
