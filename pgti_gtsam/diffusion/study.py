@@ -154,6 +154,11 @@ def study(
     stage("steady state")
     flow = heat_flow(equations)
     slowest, fastest = extreme_eigenvalues(equations)
+    if not 0 < slowest <= fastest < np.inf:
+        raise UnsolvableGraphError(
+            f"expected rates of the heat flow above 0, got {slowest:.3g} to {fastest:.3g}: "
+            "the factors' information is so far apart that rounding hides the slowest"
+        )
     times = time_grid(slowest, fastest)
     stage("heat flow")
     states = flow.at(times)

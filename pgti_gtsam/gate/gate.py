@@ -19,7 +19,7 @@ from pgti_gtsam.gate.decision import ClosureDecision, Term, Verdict
 from pgti_gtsam.gate.grown_map import GrownMap
 from pgti_gtsam.gate.options import GateOptions
 from pgti_gtsam.gate.reference_map import ReferenceMap
-from pgti_gtsam.gate.settled import Settled
+from pgti_gtsam.gate.settled import Settled, solvable
 from pgti_gtsam.gate.terms import contact_rise, drift
 from pgti_gtsam.pose_graph import PoseGraph, Radii, key_label
 
@@ -155,6 +155,7 @@ class LoopClosureGate:
         offered = [checked_closure(closure, values) for closure in closure_graphs(closures)]
         return self.judge(self.reference_map(graph, values, radii), offered)
 
+    @solvable()
     def judge(
         self,
         reference: ReferenceMap,
@@ -170,6 +171,11 @@ class LoopClosureGate:
             As `factor_graphs.checked_closure` has them.
         progress : callable
             Told how many closures are judged, and of how many.
+
+        Raises
+        ------
+        UnsolvableGraphError
+            See `solvable`.
         """
         # the closures as ties that do not hold yet, those of one revisit together
         settled, rows = reference.offered(closures)

@@ -14,7 +14,7 @@ from scipy.special import chdtri, expit
 
 from pgti_gtsam.gate.drift_model import DriftModel
 from pgti_gtsam.gate.left_out import left_out, left_out_together
-from pgti_gtsam.gate.settled import Settled, settle
+from pgti_gtsam.gate.settled import Settled, settle, solvable
 from pgti_gtsam.gate.terms.drift import log_odds, log_odds_together
 from pgti_gtsam.gate.ties import OFFSET, OFFSET_RAD
 from pgti_gtsam.places import neighbourhoods
@@ -82,6 +82,7 @@ class OwnClosures:
         return np.asarray(expit(self.log_odds))
 
 
+@solvable()
 def own_closures(model: DriftModel) -> OwnClosures:
     """Judge every closure of a map against all the others.
 

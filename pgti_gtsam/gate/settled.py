@@ -6,6 +6,7 @@ The information matrix is factorised once, and every covariance is asked of the 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
@@ -143,6 +144,24 @@ def _batches(sizes: Sequence[int], most: int) -> Iterator[list[int]]:
         yield batch
 
 
+@contextmanager
+def solvable() -> Iterator[None]:
+    """Linear algebra of a map whose lengths float64 can hold side by side.
+
+    Raises
+    ------
+    UnsolvableGraphError
+        A matrix is singular to rounding.
+    """
+    try:
+        yield
+    except np.linalg.LinAlgError as error:
+        raise UnsolvableGraphError(
+            "expected odometry and closures that fix every keyframe, got a singular information matrix; "
+            "look for positions or measurements far beyond the map, and for radii far below it"
+        ) from error
+
+
 def settle(model: DriftModel, active: NDArray[np.bool_] | None = None, start: Settled | None = None) -> Settled:
     """The optimum of a model's ties.
 
@@ -168,13 +187,8 @@ def settle(model: DriftModel, active: NDArray[np.bool_] | None = None, start: Se
     # the optimum, and the information there
     anchors = _anchors(model, component)
     poses = _optimum(model, active, component, model.poses if start is None else start.poses)
-    try:
+    with solvable():
         factor, pull = _linearised(model, tree, anchors, active, poses)
-    except np.linalg.LinAlgError as error:
-        raise UnsolvableGraphError(
-            "expected odometry and closures that fix every keyframe, got a singular information matrix; "
-            "look for closures with measurements far beyond the map"
-        ) from error
     steps = solve(factor, pull)
     return Settled(
         model=model,

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pgti_gtsam import outputs
 from pgti_gtsam.diagnosis.records import ClosureFinding, Diagnosis, Place, Proposal
 from pgti_gtsam.diagnosis.sweep import Swept, fragile
 from pgti_gtsam.integrity import BetaSplit, Distortion
@@ -111,8 +112,8 @@ def sweep_rows(swept: Sequence[Swept]) -> Document:
 
 
 def write_json(document: Mapping[str, Any], path: Path) -> None:
-    """Write a document as strict JSON."""
-    path.write_text(json.dumps(document, allow_nan=False, ensure_ascii=False) + "\n", encoding="utf-8")
+    """Write a document as strict JSON; raises what `outputs.write_bytes` raises."""
+    outputs.write_text(path, json.dumps(document, allow_nan=False, ensure_ascii=False) + "\n")
 
 
 def _estimate(diagnosis: Diagnosis) -> Document | None:

@@ -25,6 +25,8 @@ from numpy.typing import NDArray
 from scipy import linalg, sparse
 from scipy.sparse.linalg import SuperLU, eigsh, splu
 
+from pgti_gtsam.errors import UnsolvableGraphError
+
 FloatArray = NDArray[np.float64]
 IndexArray = NDArray[np.int64] | NDArray[np.int32]
 Operator = Callable[[FloatArray], FloatArray]
@@ -240,6 +242,11 @@ def _smallest_of_component(block: sparse.csc_array) -> float:
     return _smallest_positive(graph, np.zeros(n, dtype=np.int64), graph.upper_bound())
 
 
+_TOO_FAR_APART = (
+    "expected weights of edges that float64 can add up, got some so far apart that the Laplacian is singular"
+)
+
+
 def _dominant(operator: Operator, start: FloatArray) -> tuple[FloatArray, float]:
     """Lanczos with full reorthogonalisation: Ritz vector of the largest eigenvalue, and its residual's norm."""
     n_steps = min(MAX_LANCZOS_STEPS, len(start))
@@ -254,6 +261,8 @@ def _dominant(operator: Operator, start: FloatArray) -> tuple[FloatArray, float]
         image -= basis[: k + 1].T @ (basis[: k + 1] @ image)
         below[k] = np.linalg.norm(image)
         scale = np.abs(diagonal[: k + 1]).max()
+        if not np.isfinite(scale):
+            raise UnsolvableGraphError(_TOO_FAR_APART)
         if k % CHECK_EVERY == 0 or k == n_steps - 1 or below[k] <= CONVERGED * scale:
             value, vectors = linalg.eigh_tridiagonal(diagonal[: k + 1], below[:k], select="i", select_range=(k, k))
             ritz, residual = vectors[:, 0], float(below[k] * abs(vectors[-1, 0]))
@@ -329,14 +338,17 @@ def _factorise(
 
     Narrow panels suit factors of few entries a column better than SuperLU's defaults.
     """
-    return splu(
-        matrix,
-        permc_spec=permutation,
-        diag_pivot_thresh=0.0,
-        relax=1,
-        panel_size=4,
-        options={"SymmetricMode": True},
-    )
+    try:
+        return splu(
+            matrix,
+            permc_spec=permutation,
+            diag_pivot_thresh=0.0,
+            relax=1,
+            panel_size=4,
+            options={"SymmetricMode": True},
+        )
+    except RuntimeError as error:  # SuperLU's word for a pivot of zero
+        raise UnsolvableGraphError(_TOO_FAR_APART) from error
 
 
 def _negative_pivots(factor: SuperLU[np.float64]) -> int:

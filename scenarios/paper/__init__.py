@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from pgti_gtsam import outputs
 from scenarios.paper import beyond, curves, growth, table, texture
 from scenarios.paper.figure import draw_growth, draw_maps
 
@@ -31,7 +32,7 @@ def run(data: Path | None, folder: Path, tell: Callable[[str], None]) -> dict[st
 
     # written first, drawn from what was written
     path = folder / "paper.json"
-    path.write_text(json.dumps(found, ensure_ascii=False) + "\n", encoding="utf-8")
+    outputs.write_text(path, json.dumps(found, ensure_ascii=False) + "\n")
     written = json.loads(path.read_text(encoding="utf-8"))
     draw_maps(written["table_4"], folder / "figure_6.png")
     draw_growth(written["growth"], folder / "growth.png")

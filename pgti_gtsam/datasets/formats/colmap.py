@@ -60,7 +60,7 @@ def _binary_images(path: Path) -> dict[int, gtsam.Pose3]:
             at = data.index(b"\0", at + IMAGE.size) + 1
             at += 8 + 24 * struct.unpack_from("<Q", data, at)[0]
             poses[number] = _camera(pose)
-    except (struct.error, ValueError):
+    except (struct.error, ValueError, OverflowError):
         raise FileFormatError(path, f"is cut off or no images.bin of COLMAP, at byte {at}") from None
     if at > len(data):
         raise FileFormatError(path, f"is cut off: expected {at} bytes, got {len(data)}")
