@@ -60,10 +60,10 @@ def closure_sentence(missed_m: float, missed_deg: float, allowed_m: float, *, is
     """What the others say of a closure."""
     if not known:
         return "No other tie leads between its keyframes: nothing judges it."
-    against = "contradicts" if is_false else "agrees with"
+    against, remedy = ("contradicts", " Look again at it, or leave it out.") if is_false else ("agrees with", "")
     return (
         f"It {against} all others: they predict its second keyframe {metres(missed_m)} and {missed_deg:.0f}° away "
-        f"from where it measures it, give or take {metres(allowed_m)}."
+        f"from where it measures it, give or take {metres(allowed_m)}.{remedy}"
     )
 
 

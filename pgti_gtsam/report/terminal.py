@@ -190,9 +190,8 @@ def _own_closures(document: Mapping[str, Any]) -> RenderableType:
     shown = closures[: max(min(len(false), MAX_CLOSURES), 1)]
     for closure in shown:
         i, j = closure["keyframes"]
-        probability = "?" if closure["probability"] is None else f"{100 * closure['probability']:.3g} %"
         style = "red" if closure["is_false"] else "green"
-        table.add_row(Text(f"{labels[i]} – {labels[j]}", style=style), probability, Text(closure["sentence"]))
+        table.add_row(Text(f"{labels[i]} – {labels[j]}", style=style), _percent(closure), Text(closure["sentence"]))
     rest = len(closures) - len(shown)
     return Group(table, *([Text(f"and {rest} more that are more probable", style="dim")] if rest else []))
 
