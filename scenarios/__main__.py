@@ -23,6 +23,9 @@ from scenarios.diagnosis import tables as diagnosis_tables
 from scenarios.diagnosis import trials as diagnosis_trials
 from scenarios.evidence import calibration as reliability
 from scenarios.evidence import rise_fit
+from scenarios.mend import figure as mended_figure
+from scenarios.mend import run as mending
+from scenarios.mend import tables as mended_tables
 from scenarios.paper import revisits
 from scenarios.worlds.layouts import LAYOUTS
 
@@ -316,6 +319,20 @@ def best_new_ties(
 ) -> None:
     """Which new tie would lower Λ most, by low-rank updates and by trying all. Ten minutes."""
     print(revisits.summary(revisits.run(n_maps, n_keyframes, out, tell=print)))
+    print(f"results: {out}")
+
+
+@app.command("mend")
+def mended_maps(
+    data: Annotated[Path | None, typer.Option(help="Folder of all data; ray-cast worlds only without.")] = None,
+    seeds: Annotated[str, typer.Option(help="Seeds of thinned loops and of drives, between commas.")] = "0",
+    out: Annotated[Path, typer.Option(help="Where the JSON goes; known rows are kept.")] = RESULTS / "mend.json",
+) -> None:
+    """Scan graphs, a raw log and worlds with clouds on disk, mended; false ties, errors, sharpness. Ten minutes."""
+    for line in mended_tables.lines(mending.run(data, _whole_numbers(seeds), out, print)):
+        print(line)
+    if data is not None:
+        mended_figure.draw(data / "scan_pose_graphs" / "mit-cscail.log", out.with_suffix(".png"))
     print(f"results: {out}")
 
 

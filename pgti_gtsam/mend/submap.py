@@ -19,7 +19,7 @@ by the drift model 4 % of ρ, less than a tenth of the distance that points are 
 MOST = 6
 """Keyframes at most on either side of the middle."""
 
-ENOUGH = 20_000
+ENOUGH = 5_000
 """Points from which a keyframe needs no neighbours: submaps are for thin scans."""
 
 

@@ -89,7 +89,9 @@ def damaged(dataset: Dataset, kind: str, random: np.random.Generator) -> tuple[g
         first, other = factor.keys()[0], dataset.graph.at(int(random.choice(loops)))
         claimed = dataset.values.atPose2(first).compose(other.measured())
         poses = {key: dataset.values.atPose2(key) for key in range(dataset.values.size())}
-        second = int(random.choice([key for key, pose in poses.items() if claimed.range(pose) > FALSE_LOOP_M]))
+        second = int(
+            random.choice([key for key, pose in poses.items() if claimed.range(pose.translation()) > FALSE_LOOP_M])
+        )
         false.add(graph.size())
         graph.add(gtsam.BetweenFactorPose2(first, second, other.measured(), factor.noiseModel()))
     return graph, false

@@ -1,0 +1,44 @@
+"""A map of odometry alone before and after mending: all readings, the track, and the ties that came in."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import gtsam
+import numpy as np
+from matplotlib.figure import Figure
+
+import pgti_gtsam as pgti
+from pgti_gtsam import datasets
+from pgti_gtsam.datasets import Dataset
+from scenarios.mend.logs import chained, damaged
+
+
+def draw(log: Path, out: Path) -> None:
+    """Mend a scan graph without its loops, and draw both maps."""
+    dataset = datasets.read(log)
+    graph, _ = damaged(dataset, "odometry", np.random.default_rng(0))
+    mended = pgti.mend(graph, chained(dataset), pgti.scans_of(dataset.scans), radii=dataset.radii)
+    ties = mended.of("confirmed")
+    figure = Figure(figsize=(9, 5), layout="constrained")
+    before, after = figure.subplots(1, 2, sharex=True, sharey=True)
+    _map(before, dataset, mended.before_values, "odometry")
+    _map(after, dataset, mended.values, f"mended: {len(ties)} ties that scans confirm")
+    for attempt in ties:
+        ends = np.array([mended.values.atPose2(key).translation() for key in attempt.keys])
+        after.plot(*ends.T, color="#1b7a43", linewidth=1.0)
+    figure.savefig(out, dpi=110)
+
+
+def _map(axes: Any, dataset: Dataset, values: gtsam.Values, title: str) -> None:
+    points = []
+    for key, seen in dataset.scans.items():
+        matrix = values.atPose2(key).matrix()
+        near = seen[np.linalg.norm(seen, axis=1) < 15]
+        points.append(near[::2] @ matrix[:2, :2].T + matrix[:2, 2])
+    track = np.array([values.atPose2(key).translation() for key in sorted(values.keys())])
+    axes.plot(*np.concatenate(points).T, ",", color="#16202e", alpha=0.5)
+    axes.plot(*track.T, color="#d7263d", linewidth=0.6)
+    axes.set(title=title, aspect="equal")
+    axes.set_axis_off()
