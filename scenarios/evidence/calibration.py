@@ -149,24 +149,24 @@ def report(held_out: Sequence[dict[str, Any]], training: Sequence[dict[str, Any]
 
 
 def draw(rows: Sequence[dict[str, Any]], path: Path) -> None:
-    """Share of true closures against probability, with 95 % intervals, and how many there are."""
+    """Share of true closures against probability, of all with 95 % intervals, and how many there are."""
     figure, (above, below) = plt.subplots(
-        2, 1, figsize=(5.2, 6.4), layout="constrained", sharex=True, height_ratios=[3, 1]
+        2, 1, figsize=(6.8, 6.0), layout="constrained", sharex=True, height_ratios=[3, 1]
     )
     above.plot([0, 1], [0, 1], color="grey", lw=0.8)
     for k, (name, own) in enumerate(_kinds(rows)):
         odds, true = gathered(own)
-        told = expit(odds)
-        there = [each for each in bins(told, equal_mass=False) if each.any()]
-        mean = np.array([told[each].mean() for each in there])
-        share = np.array([true[each].mean() for each in there])
+        inside = bins(told := expit(odds), equal_mass=False)
+        there = [each for each in inside if each.any()]
+        mean, share = np.array([(told[each].mean(), true[each].mean()) for each in there]).T
+        if k:
+            above.plot(mean, share, "x", color=f"C{k - 1}", label=name)
+            continue
         low, high = np.transpose([_interval(true[each]) for each in there])
-        style = {"color": "black", "lw": 1.8} if name == "all" else {"color": f"C{k - 1}", "lw": 0.8}
-        above.errorbar(mean, share, [share - low, high - share], fmt="o-", ms=3, capsize=2, label=name, **style)
-        if name == "all":
-            below.bar((np.arange(BINS) + 0.5) / BINS, [each.sum() for each in bins(told, equal_mass=False)], 0.09)
+        above.errorbar(mean, share, [share - low, high - share], fmt="o", color="black", capsize=3, label=name)
+        below.bar((np.arange(BINS) + 0.5) / BINS, [each.sum() for each in inside], 0.09, color="black")
     above.set(ylabel="share that is true", ylim=(-0.02, 1.02))
-    above.legend(fontsize=8)
+    above.legend(fontsize=8, loc="upper left", bbox_to_anchor=(1.0, 1.0))
     below.set(xlabel="decision.probability", ylabel="closures", yscale="log", xlim=(-0.02, 1.02))
     figure.savefig(path, dpi=110)
     plt.close(figure)
