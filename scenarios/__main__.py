@@ -9,11 +9,13 @@ from typing import Annotated
 
 import typer
 
+from pgti_gtsam import outputs
 from pgti_gtsam.errors import InvalidOptionError, PgtiError
 from scenarios import kitti, near_misses, paper, pipeline, sweep, worlds
 from scenarios import scans as scan_graphs
 from scenarios import speed as speed_experiment
 from scenarios import spikes as spikes_experiment
+from scenarios import stream as stream_experiment
 from scenarios.aliasing import figure, maps, tables, trials
 from scenarios.aliasing.methods import METHODS
 from scenarios.diagnosis import contacts_fit
@@ -278,6 +280,18 @@ def running_pipeline(
     out.parent.mkdir(parents=True, exist_ok=True)
     out.write_text(json_text.dumps(rows, indent=1) + "\n", encoding="utf-8")
     pipeline.draw(rows, out.with_suffix(".png"))
+    print(f"results: {out}")
+
+
+@app.command("stream")
+def stream_latency(
+    largest: Annotated[int, typer.Option(help="Keyframes that are driven.")] = pipeline.SIZES[-1],
+    state: Annotated[Path | None, typer.Option(help="Let the stream keep its map in this new file.")] = None,
+    out: Annotated[Path, typer.Option(help="Where the JSON goes.")] = RESULTS / "stream.json",
+) -> None:
+    """How long a pipeline waits for a verdict of `gate --stream`. Two minutes."""
+    rows = stream_experiment.run(largest, seed=0, state=state, tell=print)
+    outputs.write_text(out, json_text.dumps(rows, indent=1) + "\n")
     print(f"results: {out}")
 
 

@@ -43,7 +43,7 @@ def run(largest: int, seed: int, tell: Callable[[str], None]) -> list[Row]:
     times: dict[str, list[float]] = {name: [] for name in ("bare", "gated", "bare closing", "gated closing")}
     accepted, base = [], _megabytes()
     gc.disable()
-    for k, (factors, values, closures) in enumerate(_drive(largest, seed)):
+    for k, (factors, values, closures) in enumerate(drive(largest, seed)):
         together = gtsam.NonlinearFactorGraph(factors)
         for closure in closures:
             together.push_back(closure)
@@ -116,7 +116,7 @@ def line(row: Row) -> str:
     )
 
 
-def _drive(n_keyframes: int, seed: int) -> Iterator[tuple[gtsam.NonlinearFactorGraph, gtsam.Values, list[Any]]]:
+def drive(n_keyframes: int, seed: int) -> Iterator[tuple[gtsam.NonlinearFactorGraph, gtsam.Values, list[Any]]]:
     """What each keyframe brings: its odometry and first value, and every so often a closure to the lap before."""
     random = np.random.default_rng(seed)
     noise = gtsam.noiseModel.Diagonal.Sigmas(np.array([0.05, 0.05, 0.01]))

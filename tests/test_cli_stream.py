@@ -16,7 +16,6 @@ from pgti_gtsam import datasets
 from pgti_gtsam.datasets.chain import between_factors
 from pgti_gtsam.gate import GatedISAM2, LoopClosureGate
 from pgti_gtsam.stream import Session
-from pgti_gtsam.stream.session import parameters
 
 ROOT = Path(__file__).parents[1]
 KITTI = ROOT.parent / "shared" / "data" / "kitti_robustslam" / "06" / "kitti_06_alpha_0.15.g2o"
@@ -64,7 +63,7 @@ def line_of(between):
 
 
 def verdicts_of_the_smoother(betweens):
-    isam, found = GatedISAM2(gtsam.ISAM2(parameters()), radii=RADIUS_M), []
+    isam, found = GatedISAM2(radii=RADIUS_M), []
     factors, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
     factors.push_back(gtsam.PriorFactorPose2(0, gtsam.Pose2(), gtsam.noiseModel.Isotropic.Sigma(3, 1e-3)))
     values.insert(0, gtsam.Pose2())

@@ -38,13 +38,6 @@ ORIGIN = 1e-3
 Answer = dict[str, Any]
 
 
-def parameters() -> gtsam.ISAM2Params:
-    """Those of a stream's smoother: GTSAM's defaults, but QR, which takes information that is singular to rounding."""
-    found = gtsam.ISAM2Params()
-    found.setFactorization("QR")
-    return found
-
-
 @dataclass(slots=True, kw_only=True, eq=False)
 class Session:
     """One map and what a pipeline says of it.
@@ -70,7 +63,7 @@ class Session:
     @classmethod
     def started(cls, gate: LoopClosureGate, radius_m: float | None = None) -> Session:
         """A map without anything in it."""
-        return cls(isam=GatedISAM2(gtsam.ISAM2(parameters()), gate=gate, radii=radius_m))
+        return cls(isam=GatedISAM2(gate=gate, radii=radius_m))
 
     def answers(self, line: str) -> list[Answer]:
         """What a line is answered with; nothing changes where that is an error.
@@ -139,7 +132,7 @@ class Session:
     def resumed(cls, state: dict[str, Any], gate: LoopClosureGate) -> Session:
         """A session that goes on where `state` was taken; raises what `GatedISAM2.resumed` raises."""
         found = cls(
-            isam=GatedISAM2.resumed(state["gate"], parameters(), gate),
+            isam=GatedISAM2.resumed(state["gate"], gate=gate),
             n_lines=state["line"],
             _is_spatial=state["is_spatial"],
             _ends={robot: (first, last) for robot, first, last in state["ends"]},
