@@ -1,18 +1,12 @@
-"""Trials at scale: each is one row of a file of JSON lines, appended as soon as it is known.
-
-A trial whose row is there is not run again: a killed run goes on where it stopped, and a killed worker's trials are
-given to another.
-"""
+"""Trials at scale, by the runner that audits many maps: a killed run goes on where it stopped."""
 
 from __future__ import annotations
 
-import json
-import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from dask.distributed import Client, LocalCluster, as_completed
+from pgti_gtsam import fleet
 
 
 def run(
@@ -36,40 +30,19 @@ def run(
         Address of a Dask scheduler; a local cluster of two workers without.
     tell : callable
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
     fields = wanted[0]._fields if wanted else ()
-    keys = [tuple(trial.key() if hasattr(trial, "key") else trial) for trial in wanted]
-    done = {_key(found, fields): found for found in rows(path)}
-    missing = [trial for trial, key in zip(wanted, keys, strict=True) if key not in done]
-    tell(f"{len(wanted)} trials, {len(wanted) - len(missing)} of them known")
-    if missing:
-        cluster = None if scheduler else LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=":0")
-        with Client(scheduler or cluster) as client, path.open("a", encoding="utf-8") as file:
-            # nobody keeps a future that is done, else a killed worker's would be computed again
-            futures = client.map(row, missing, pure=False, **options)
-            finished = as_completed(futures, with_results=True)
-            del futures
-            for count, (_, found) in enumerate(finished, start=1):
-                file.write(json.dumps(found, ensure_ascii=False) + "\n")
-                file.flush()
-                done[_key(found, fields)] = found
-                if count % 50 == 0 or count == len(missing):
-                    tell(f"{count} of {len(missing)}")
-        if cluster is not None:
-            cluster.close()
-    return [done[key] for key in keys]
+    keys = [repr(tuple(trial.key() if hasattr(trial, "key") else trial)) for trial in wanted]
 
+    def progress(done: int, of: int) -> None:
+        if done % 50 == 0 or done == of:
+            tell(f"{done} of {of} trials")
 
-def rows(path: Path) -> Iterator[dict[str, Any]]:
-    """Whole rows of the file; a last line that was cut off when the run was killed is cut from it."""
-    if not path.is_file():
-        return
-    data = path.read_bytes()
-    whole = data.rfind(b"\n") + 1
-    if whole != len(data):
-        os.truncate(path, whole)
-    yield from map(json.loads, data[:whole].splitlines())
-
-
-def _key(row: dict[str, Any], fields: Sequence[str]) -> tuple[Any, ...]:
-    return tuple(row[field] for field in fields)
+    return fleet.run(
+        path,
+        dict(zip(keys, wanted, strict=True)),
+        row,
+        key_of=lambda found: repr(tuple(found.get(field) for field in fields)),
+        scheduler=scheduler,
+        progress=progress,
+        **options,
+    )

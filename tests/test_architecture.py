@@ -31,6 +31,7 @@ FLOORS = [
     "diagnosis",
     "diffusion",
     "datasets",
+    "fleet",
     "dense_map",
     "mend",
     "report",

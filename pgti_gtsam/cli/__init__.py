@@ -10,6 +10,7 @@ from pgti_gtsam import __version__
 from pgti_gtsam.cli.audit import audit, view
 from pgti_gtsam.cli.diffusion import diffusion
 from pgti_gtsam.cli.ending import run_to_its_end
+from pgti_gtsam.cli.fleet import compare
 from pgti_gtsam.cli.gate import closures, gate
 from pgti_gtsam.cli.mend import mend
 from pgti_gtsam.cli.replay import replay
@@ -37,7 +38,7 @@ def describe(
     """Is this map right, and where not? Pose-graph topological integrity of SLAM maps."""
 
 
-for _command in (audit, view, gate, closures, mend, replay, diffusion):
+for _command in (audit, view, compare, gate, closures, mend, replay, diffusion):
     app.command()(_command)
 
 

@@ -12,6 +12,7 @@ import typer
 
 from pgti_gtsam import diagnosis, outputs
 from pgti_gtsam.adapter import from_gtsam
+from pgti_gtsam.cli.fleet import LimitMegabytes, LimitSeconds, Out, Scheduler, Workers, audit_many
 from pgti_gtsam.cli.options import (
     Beta,
     Cloud,
@@ -29,20 +30,19 @@ from pgti_gtsam.cli.options import (
     stages,
     terminal,
 )
-from pgti_gtsam.datasets import Dataset, write_g2o
+from pgti_gtsam.datasets import Dataset, is_map, write_g2o
 from pgti_gtsam.diagnosis import Diagnosis
 from pgti_gtsam.diagnosis.proposals import proposal_graph
 from pgti_gtsam.diagnosis.sweep import radius_sweep
 from pgti_gtsam.errors import InvalidOptionError
 from pgti_gtsam.estimate import optimised
+from pgti_gtsam.fleet.comparison import GRAVITY
 from pgti_gtsam.places import tied_radius_m
 from pgti_gtsam.plain_text import visible
 from pgti_gtsam.report import scene
 from pgti_gtsam.report.document import Document, audit_document, sweep_rows, write_json
 from pgti_gtsam.report.html import write_page
 from pgti_gtsam.report.terminal import print_summary, print_sweep
-
-GRAVITY = ("consistent", "incomplete", "undecided", "inconsistent")
 
 AnyRadius = Annotated[
     str | None,
@@ -90,11 +90,30 @@ def audit(
         typer.Option(metavar="VERDICT", help=f"Exit with code 1 from this on: {', '.join(GRAVITY[1:])}."),
     ] = None,
     fail_above: Annotated[float | None, typer.Option(help="Exit with code 1 if Λ is above this.")] = None,
+    out: Out = None,
+    scheduler: Scheduler = None,
+    workers: Workers = 2,
+    limit_s: LimitSeconds = 600.0,
+    limit_mb: LimitMegabytes = 8000.0,
 ) -> None:
-    """Say whether a map is right, where not, and what to do about it."""
+    """Say whether a map is right, where not, and what to do about it; of several maps, which are worst."""
     files = MapFiles(files=file, values=values, loops=loops, one_map=one_map, ignore_unknown=ignore_unknown)
     files.check_outputs([json, html, proposals], cloud)
     _check_failures(fail_on, fail_above)
+    if _are_many(file, one_map=one_map):
+        _check_alone(values=values, loops=loops, cloud=cloud, json=json, html=html, proposals=proposals)
+        words = _words(radius, edges, min_shared_landmarks, beta, optimise=optimise, ignore_unknown=ignore_unknown)
+        audit_many(
+            file or (),
+            words,
+            out,
+            scheduler=scheduler,
+            workers=workers,
+            limit_s=limit_s,
+            limit_mb=limit_mb,
+            fail_on=fail_on,
+        )
+        return
 
     # audit, and write what was asked for
     with stages(9) as stage:
@@ -203,6 +222,36 @@ def _audit(
     }
     document = audit_document(found, name=dataset.title, file_format=dataset.format, notes=notes, options=options)
     return _Audited(dataset=dataset, values=best, diagnosis=found, document=document)
+
+
+def _are_many(files: list[Path] | None, *, one_map: bool) -> bool:
+    """Whether several maps are meant: files that are not said to be one, or a folder that is no model by itself."""
+    given = files or []
+    return not one_map and (len(given) > 1 or any(path.is_dir() and not is_map(path) for path in given))
+
+
+def _check_alone(**options: Any) -> None:
+    """Refuse what belongs to a single map."""
+    given = next((name for name, value in options.items() if value is not None), None)
+    if given is not None:
+        raise InvalidOptionError(
+            f"expected --{given} with one map, got several; --out names the folder that their results go to"
+        )
+
+
+def _words(
+    radius: str | None,
+    edges: str | None,
+    min_shared_landmarks: int | None,
+    beta: float,
+    *,
+    optimise: bool,
+    ignore_unknown: bool,
+) -> list[str]:
+    """The options of an audit as its command line has them."""
+    given = {"radius": radius, "edges": edges, "min-shared-landmarks": min_shared_landmarks, "beta": beta}
+    words = [word for name, value in given.items() if value is not None for word in (f"--{name}", str(value))]
+    return words + ["--optimise"] * optimise + ["--ignore-unknown"] * ignore_unknown
 
 
 def _metres(text: str) -> float:

@@ -4,7 +4,7 @@ from pgti_gtsam.datasets.chain import chain_odometry, closure_slots
 from pgti_gtsam.datasets.dataset import Dataset
 from pgti_gtsam.datasets.g2o_writer import Written, write_g2o
 from pgti_gtsam.datasets.one_map import read_one_map
-from pgti_gtsam.datasets.reader import BUILTIN, builtin, read, read_carmen
+from pgti_gtsam.datasets.reader import BUILTIN, builtin, is_map, read, read_carmen
 from pgti_gtsam.datasets.subsample import subsample
 
 __all__ = [
@@ -14,6 +14,7 @@ __all__ = [
     "builtin",
     "chain_odometry",
     "closure_slots",
+    "is_map",
     "read",
     "read_carmen",
     "read_one_map",

@@ -69,6 +69,11 @@ def read(
     return robust_slam.with_truth(robust_slam.with_labels(dataset, source.path), source.path, read_plain)
 
 
+def is_map(path: Path) -> bool:
+    """Whether a reader takes a file or folder for its own, by its first look."""
+    return any(format.recognises(Source(path=path)) for format in FORMATS)
+
+
 def read_source(source: Source) -> Dataset:
     """The dataset in a source, without looking for labels and truth beside it.
 

@@ -1,0 +1,113 @@
+"""`pgti-gtsam audit MAP MAP …` and `compare`: many maps, and one map against its former self."""
+
+from __future__ import annotations
+
+import json as json_text
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+
+from pgti_gtsam import fleet
+from pgti_gtsam.cli.options import counted
+from pgti_gtsam.errors import FileFormatError, InvalidOptionError
+from pgti_gtsam.fleet.comparison import GRAVITY
+from pgti_gtsam.report.document import SCHEMA, SCHEMA_VERSION, write_json
+from pgti_gtsam.report.fleet import fleet_document, print_comparison, print_fleet, write_csv, write_fleet_page
+from pgti_gtsam.report.web import require_schema
+
+Out = Annotated[
+    Path | None, typer.Option("--out", help="Of several maps: folder of the index page, the table and each map's page.")
+]
+Scheduler = Annotated[
+    str | None, typer.Option(help="Of several maps: address of a Dask scheduler; processes on this machine without.")
+]
+Workers = Annotated[int, typer.Option(min=1, help="Of several maps: processes on this machine.")]
+LimitSeconds = Annotated[float, typer.Option("--limit-s", help="Of several maps: seconds that each may take.")]
+LimitMegabytes = Annotated[float, typer.Option("--limit-mb", help="Of several maps: megabytes that each may take.")]
+
+
+def audit_many(
+    paths: Sequence[Path],
+    words: Sequence[str],
+    out: Path | None,
+    *,
+    scheduler: str | None,
+    workers: int,
+    limit_s: float,
+    limit_mb: float,
+    fail_on: str | None,
+) -> None:
+    """The same audit of many maps: a ranking, a table, an index page, and a page for each."""
+    if out is None:
+        raise InvalidOptionError(
+            f"expected --out FOLDER for the audits of {len(paths)} maps, got none; "
+            "if the files are sessions or robots of one map, say --one-map"
+        )
+    if not (limit_s > 0 and limit_mb > 0):
+        raise InvalidOptionError(f"expected limits above zero, got {limit_s} s and {limit_mb} MB")
+    out.mkdir(parents=True, exist_ok=True)
+    maps, others = fleet.maps_in(paths)
+    jobs = [
+        fleet.AuditJob(map=str(path), words=tuple(words), folder=str(out), limit_s=limit_s, limit_mb=limit_mb)
+        for path in maps
+    ]
+
+    # audit what is not known yet
+    with counted() as tell:
+        rows = fleet.run(
+            out / "maps.jsonl",
+            {job.key: job for job in jobs},
+            fleet.audited,
+            scheduler=scheduler,
+            workers=workers,
+            progress=lambda done, of: tell("maps", done, of),
+        )
+
+    # write the ranking, and show it
+    options = {"audit": " ".join(words) or "no options", "limit_s": limit_s, "limit_mb": limit_mb}
+    notes = [f"no reader takes {path} for a map" for path in others]
+    document = fleet_document(rows, options, out.name, notes)
+    write_json(document, out / "maps.json")
+    write_csv(document, out / "maps.csv")
+    write_fleet_page(document, out / "index.html")
+    console = Console(highlight=False)
+    print_fleet(document, console)
+    console.print("\npage: ", out / "index.html", sep="", style="dim", markup=False, soft_wrap=True)
+    graver = [row for row in rows if "failed" not in row and fail_on is not None and _is_as_grave(row, fail_on)]
+    if graver:
+        raise typer.Exit(1)
+
+
+def compare(
+    old: Annotated[Path, typer.Argument(help="Result of an earlier audit, as its --json writes it.")],
+    new: Annotated[Path, typer.Argument(help="Result of a later audit of the same map.")],
+    json: Annotated[Path | None, typer.Option(help="Write what changed to this JSON file.")] = None,
+    fail_on_worse: Annotated[
+        bool, typer.Option("--fail-on-worse", help="Exit with code 1 if the map got worse.")
+    ] = False,
+) -> None:
+    """Say what got better or worse between two audits of a map."""
+    found = fleet.compare(_document(old), _document(new))
+    print_comparison(found, Console(highlight=False))
+    if json is not None:
+        record = {name: getattr(found, name) for name in (*found.__slots__, "is_worse")}
+        json.write_text(json_text.dumps(record, ensure_ascii=False) + "\n", encoding="utf-8")
+    if fail_on_worse and found.is_worse:
+        raise typer.Exit(1)
+
+
+def _document(path: Path) -> Mapping[str, Any]:
+    try:
+        document = json_text.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise FileFormatError(path, f"expected the JSON of an audit: {error}") from error
+    require_schema(document if isinstance(document, dict) else {}, SCHEMA, SCHEMA_VERSION)
+    found: Mapping[str, Any] = document
+    return found
+
+
+def _is_as_grave(row: Mapping[str, Any], verdict: str) -> bool:
+    return GRAVITY.index(row["verdict"]) >= GRAVITY.index(verdict)

@@ -1,0 +1,130 @@
+"""Jobs at scale: each is one row of a file of JSON lines, appended as soon as it is known."""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from pgti_gtsam.errors import InvalidOptionError, MissingDependencyError
+
+Row = dict[str, Any]
+
+
+def run(
+    path: Path,
+    wanted: Mapping[str, Any],
+    row: Callable[..., Row],
+    *,
+    key_of: Callable[[Row], str] = lambda found: str(found["key"]),
+    scheduler: str | None = None,
+    workers: int = 2,
+    progress: Callable[[int, int], None] = lambda done, of: None,
+    **options: Any,
+) -> list[Row]:
+    """Run what the file does not hold yet; all rows, in the order of the jobs.
+
+    A job whose row is there is not run again. A killed worker's jobs are given to another.
+
+    Parameters
+    ----------
+    path : Path
+        Of the JSON lines.
+    wanted : mapping from key to job
+    row : callable
+        From a job, and the options, to its row; it is pickled.
+    key_of : callable
+        From a row to the key of its job.
+    scheduler : str, optional
+        Address of a Dask scheduler; a cluster of processes on this machine without.
+    workers : int
+        Of that cluster.
+    progress : callable
+        Told how many jobs are done, and of how many.
+
+    Raises
+    ------
+    MissingDependencyError
+        Dask is not installed.
+    InvalidOptionError
+        Nobody answers at the scheduler's address, or the file holds other lines.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    done = {key_of(found): found for found in rows(path)}
+    missing = [key for key in wanted if key not in done]
+    progress(len(wanted) - len(missing), len(wanted))
+    if missing:
+        with path.open("a", encoding="utf-8") as file:
+            for count, (key, found) in enumerate(_computed(wanted, missing, row, scheduler, workers, options), start=1):
+                done[key] = found
+                file.write(json.dumps(found, ensure_ascii=False) + "\n")
+                file.flush()
+                progress(len(wanted) - len(missing) + count, len(wanted))
+    return [done[key] for key in wanted]
+
+
+def rows(path: Path) -> Iterator[Row]:
+    """Whole rows of a file; a last line that was cut off when the run was killed is cut from it.
+
+    Raises
+    ------
+    InvalidOptionError
+        A line is no row.
+    """
+    if not path.is_file():
+        return
+    data = path.read_bytes()
+    whole = data.rfind(b"\n") + 1
+    if whole != len(data):
+        os.truncate(path, whole)
+    for number, line in enumerate(data[:whole].splitlines(), start=1):
+        try:
+            found = json.loads(line)
+        except ValueError:
+            found = None
+        if not isinstance(found, dict):
+            raise InvalidOptionError(
+                f"expected rows of an earlier run, got another line at {path}:{number}; name another folder"
+            )
+        yield found
+
+
+def _computed(
+    wanted: Mapping[str, Any],
+    missing: list[str],
+    row: Callable[..., Row],
+    scheduler: str | None,
+    workers: int,
+    options: Mapping[str, Any],
+) -> Iterator[tuple[str, Row]]:
+    """Rows as they come."""
+    try:
+        import dask
+        from dask.distributed import Client, LocalCluster, as_completed
+    except ImportError as error:
+        raise MissingDependencyError(
+            f"dask.distributed cannot be loaded ({error}): install it with  pip install 'pgti-gtsam[fleet]'"
+        ) from error
+    cluster = None
+    if scheduler is None:
+        dask.config.set({"logging.distributed": "critical"})  # a worker that is told to end complains of it
+        cluster = LocalCluster(
+            n_workers=workers, threads_per_worker=1, dashboard_address=":0", silence_logs=logging.CRITICAL
+        )
+    try:
+        client = Client(scheduler or cluster, timeout=10)
+    except OSError as error:
+        raise InvalidOptionError(f"expected a Dask scheduler at {scheduler}, got no answer: {error}") from error
+    with client:
+        # nobody keeps a future that is done, else a killed worker's would be computed again
+        futures = client.map(row, [wanted[key] for key in missing], pure=False, **options)
+        keys = {future.key: key for future, key in zip(futures, missing, strict=True)}
+        finished = as_completed(futures, with_results=True)
+        del futures
+        for future, found in finished:
+            yield keys[future.key], found
+    if cluster is not None:
+        cluster.close()
