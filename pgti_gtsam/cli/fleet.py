@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import json as json_text
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.console import Console
+from rich.table import Table
+from rich.text import Text
 
-from pgti_gtsam import fleet
-from pgti_gtsam.cli.options import counted
+from pgti_gtsam import fleet, outputs
+from pgti_gtsam.cli.options import Terminal, counted
 from pgti_gtsam.errors import FileFormatError, InvalidOptionError
 from pgti_gtsam.fleet.comparison import GRAVITY
+from pgti_gtsam.plain_text import visible
 from pgti_gtsam.report.document import SCHEMA, SCHEMA_VERSION, write_json
-from pgti_gtsam.report.fleet import fleet_document, print_comparison, print_fleet, write_csv, write_fleet_page
+from pgti_gtsam.report.fleet import fleet_document, write_csv, write_fleet_page
 from pgti_gtsam.report.web import require_schema
 
 Out = Annotated[
@@ -70,11 +73,12 @@ def audit_many(
     options = {"audit": " ".join(words) or "no options", "limit_s": limit_s, "limit_mb": limit_mb}
     notes = [f"no reader takes {path} for a map" for path in others]
     document = fleet_document(rows, options, out.name, notes)
-    write_json(document, out / "maps.json")
-    write_csv(document, out / "maps.csv")
-    write_fleet_page(document, out / "index.html")
-    console = Console(highlight=False)
-    print_fleet(document, console)
+    with outputs.together():
+        write_json(document, out / "maps.json")
+        write_csv(document, out / "maps.csv")
+        write_fleet_page(document, out / "index.html")
+    console = Terminal(highlight=False)
+    _print_fleet(document, console)
     console.print("\npage: ", out / "index.html", sep="", style="dim", markup=False, soft_wrap=True)
     graver = [row for row in rows if "failed" not in row and fail_on is not None and _is_as_grave(row, fail_on)]
     if graver:
@@ -91,12 +95,66 @@ def compare(
 ) -> None:
     """Say what got better or worse between two audits of a map."""
     found = fleet.compare(_document(old), _document(new))
-    print_comparison(found, Console(highlight=False))
+    _print_comparison(found, Terminal(highlight=False))
     if json is not None:
         record = {name: getattr(found, name) for name in (*found.__slots__, "is_worse")}
-        json.write_text(json_text.dumps(record, ensure_ascii=False) + "\n", encoding="utf-8")
+        write_json(record, json)
     if fail_on_worse and found.is_worse:
         raise typer.Exit(1)
+
+
+def _print_fleet(document: Mapping[str, Any], console: Terminal) -> None:
+    """The ranking, and a line for each map that failed."""
+    rows = [row for row in document["maps"] if "failed" not in row]
+    failed = [row for row in document["maps"] if "failed" in row]
+    counts = Counter(row["verdict"] for row in rows)
+    told = ", ".join(f"{counts[verdict]} {verdict}" for verdict in reversed(GRAVITY) if counts[verdict])
+    console.print(f"{len(document['maps'])} maps: {told or 'no verdict'}, {len(failed)} failed", style="bold")
+    table = Table(box=None, pad_edge=False)
+    for column in ("map", "verdict"):
+        table.add_column(column)
+    for column in ("Λ", "collisions", "keyframes"):
+        table.add_column(column, justify="right")
+    table.add_column("what to look at first", ratio=1)
+    for row in rows:
+        kinds = ", ".join(f"{n} × {kind}" for kind, n in row["places"].items())
+        table.add_row(
+            Text(visible(Path(row["map"]).name)),
+            row["verdict"],
+            row["score"] if isinstance(row["score"], str) else f"{row['score']:.3g}",
+            str(row["collisions"]),
+            str(row["keyframes"]),
+            kinds or "nothing",
+        )
+    if rows:
+        console.print(table)
+    for row in failed:
+        console.print(visible(f"{row['map']}: {row['failed']}"), markup=False, soft_wrap=True)
+    for note in document["input"]["notes"]:
+        console.print(visible(note), style="dim", markup=False, soft_wrap=True)
+
+
+def _print_comparison(found: fleet.Comparison, console: Terminal) -> None:
+    """What changed, in lines."""
+    console.print(f"{found.verdicts[0]} → {found.verdicts[1]}", style="bold")
+    console.print(f"Λ {_short(found.scores[0])} → {_short(found.scores[1])}", end="; ")
+    console.print(f"of collisions {_short(found.collision_scores[0])} → {_short(found.collision_scores[1])}")
+    for title, places in (("New places", found.new_places), ("Places that are gone", found.gone_places)):
+        if places:
+            console.print(f"\n{title}", style="bold")
+            for place in places:
+                console.print(visible(f"  {place['kind']}: {place['sentence']}"), markup=False)
+    if found.closures:
+        console.print("\nClosures whose probability moved", style="bold")
+        for name, before, after in found.closures[:20]:
+            console.print(visible(f"  {name}: {before:.2g} → {after:.2g}"), markup=False)
+        if len(found.closures) > 20:
+            console.print(f"  and {len(found.closures) - 20} more")
+    console.print("\nThe map is worse than before." if found.is_worse else "\nThe map is no worse than before.")
+
+
+def _short(score: float | str) -> str:
+    return score if isinstance(score, str) else f"{score:.3g}"
 
 
 def _document(path: Path) -> Mapping[str, Any]:
