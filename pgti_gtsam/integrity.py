@@ -7,7 +7,8 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from pgti_gtsam.errors import InvalidOptionError
+from pgti_gtsam.checks import real, shown, whole
+from pgti_gtsam.errors import InvalidGraphError, InvalidOptionError
 from pgti_gtsam.optimality import OptimalityComparison, compare_optimality
 from pgti_gtsam.pose_graph import PoseGraph
 from pgti_gtsam.spectral.heat_kernel import TOLERANCE, HeatKernel, Method, heat_kernels
@@ -24,6 +25,10 @@ resolve a signature that varies over decades.
 
 N_TIMES, NORM = 100, 2
 """Number of times in the paper's grid, and p of its Eq. 17."""
+
+
+MAX_TIMES = 100_000
+"""Times beyond which only the memory changes: signatures are smooth, and the paper has 100."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -207,11 +212,9 @@ def assess(
     Xie et al., PGTI: Pose-Graph Topological Integrity for Map Quality Assessment in SLAM, Robotics
     2025, 14(12), 189, https://doi.org/10.3390/robotics14120189
     """
-    _checked_beta(beta)
-    if n_times < 2:
-        raise InvalidOptionError(f"expected n_times of at least 2, got {n_times}")
-    if norm not in (1, 2):
-        raise InvalidOptionError(f"expected norm 1 or 2, got {norm}")
+    if not isinstance(pose_graph, PoseGraph):
+        raise InvalidGraphError(f"expected a PoseGraph, got {shown(pose_graph)}; from_gtsam makes one")
+    checked_measure(beta, n_times, norm)
     support: SupportGraph = support_graph(pose_graph)
     kernel_p, kernel_e, kernel_m = _kernels(pose_graph, support, method, tolerance)
     whole, fusion, collisions = (
@@ -317,7 +320,16 @@ def stable_scores(
     return scores
 
 
+def checked_measure(beta: float, n_times: int, norm: int) -> None:
+    """Refuse options that `assess` cannot measure with; raises InvalidOptionError."""
+    _checked_beta(beta)
+    if whole(n_times, "n_times", least=2) > MAX_TIMES:
+        raise InvalidOptionError(f"expected n_times up to {MAX_TIMES}, got {n_times}")
+    if norm not in (1, 2):
+        raise InvalidOptionError(f"expected norm 1 or 2, got {shown(norm)}")
+
+
 def _checked_beta(beta: float) -> float:
-    if not 0 < beta < 1:
+    if not 0 < real(beta, "beta") < 1:
         raise InvalidOptionError(f"expected beta between 0 and 1, got {beta}")
     return beta

@@ -10,6 +10,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pgti_gtsam.checks import real_array, whole_array
 from pgti_gtsam.errors import InvalidGraphError, InvalidValueError, NoPoseError
 from pgti_gtsam.sightings import Sightings
 
@@ -157,7 +158,10 @@ def key_label(key: int) -> str:
 
 
 def _checked_keys(keys: ArrayLike) -> NDArray[np.uint64]:
-    checked = np.array(keys, dtype=np.uint64)
+    given = whole_array(keys, "keys")
+    if (given < 0).any():
+        raise InvalidGraphError(f"expected keys from zero on, got {given.min()}")
+    checked = given.astype(np.uint64)
     if checked.ndim != 1 or len(checked) == 0:
         raise NoPoseError("expected at least one keyframe, got none: nothing can be assessed")
     if len(np.unique(checked)) != len(checked):
@@ -167,7 +171,7 @@ def _checked_keys(keys: ArrayLike) -> NDArray[np.uint64]:
 
 
 def _checked_positions(keys: NDArray[np.uint64], positions: ArrayLike) -> NDArray[np.float64]:
-    checked = np.array(positions, dtype=float)
+    checked = real_array(positions, "positions, m")
     if checked.ndim != 2 or checked.shape[0] != len(keys) or checked.shape[1] not in (2, 3):
         raise InvalidGraphError(
             f"expected positions of shape ({len(keys)}, 3) or ({len(keys)}, 2), got {checked.shape}"
@@ -182,7 +186,7 @@ def _checked_positions(keys: NDArray[np.uint64], positions: ArrayLike) -> NDArra
 
 
 def _checked_radii(keys: NDArray[np.uint64], radii: ArrayLike) -> NDArray[np.float64]:
-    given = np.asarray(radii, dtype=float)
+    given = real_array(radii, "radii, m")
     if given.shape not in ((), keys.shape):
         raise InvalidGraphError(f"expected one radius or {len(keys)} of them, got shape {given.shape}")
     checked = np.broadcast_to(given, keys.shape).copy()
@@ -196,8 +200,8 @@ def _checked_radii(keys: NDArray[np.uint64], radii: ArrayLike) -> NDArray[np.flo
 
 
 def _checked_edges(n: int, edges: ArrayLike) -> NDArray[np.int64]:
-    given = np.asarray(edges)
-    checked = given.astype(np.int64).reshape(-1, 2) if given.size == 0 else np.array(given, dtype=np.int64)
+    given = whole_array(edges, "edges")
+    checked = given.astype(np.int64).reshape(-1, 2) if given.size == 0 else given.astype(np.int64)
     if checked.ndim != 2 or checked.shape[1] != 2:
         raise InvalidGraphError(f"expected edges of shape (m, 2), got {given.shape}")
     bad = (checked < 0).any(axis=1) | (checked >= n).any(axis=1) | (checked[:, 0] == checked[:, 1])
@@ -210,7 +214,7 @@ def _checked_edges(n: int, edges: ArrayLike) -> NDArray[np.int64]:
 def _checked_information(m: int, information: ArrayLike | None) -> NDArray[np.float64] | None:
     if information is None:
         return None
-    checked = np.array(information, dtype=float)
+    checked = real_array(information, "edge information")
     if checked.ndim != 3 or checked.shape[0] != m or checked.shape[1] != checked.shape[2]:
         raise InvalidGraphError(f"expected edge information of shape ({m}, d, d), got {checked.shape}")
     return checked

@@ -13,6 +13,7 @@ PACKAGE = ROOT / "pgti_gtsam"
 FLOORS = [
     "errors",
     "plain_text",
+    "checks",
     "outputs",
     "factor_graphs",
     "sightings",

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
+from numbers import Real
 from typing import Any
 
 import gtsam
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from pgti_gtsam.adapter.factors import FactorReader
 from pgti_gtsam.adapter.families import Family
 from pgti_gtsam.adapter.values import Keyframes, read_keyframes
+from pgti_gtsam.checks import shown, slots, whole
 from pgti_gtsam.errors import InvalidOptionError, InvalidValueError, NoRadiusError
 from pgti_gtsam.factor_graphs import check_map
 from pgti_gtsam.pose_graph import Adaptation, EdgeSource, PoseGraph
@@ -86,9 +88,10 @@ def from_gtsam(
     """
     # what connects keyframes
     check_map(graph, values)
-    if min_shared_landmarks is not None and min_shared_landmarks < 1:
-        raise InvalidOptionError(f"expected min_shared_landmarks of at least 1, got {min_shared_landmarks}")
-    chosen = None if edges is None else _checked_sources(edges)
+    if min_shared_landmarks is not None:
+        whole(min_shared_landmarks, "min_shared_landmarks", least=1)
+    closing = None if closures is None else slots(closures, "closures")
+    chosen = None if edges is None else checked_sources(edges)
     reader = FactorReader(read_keyframes(values))
     reader.read(graph)
     keyframes, sightings = reader.keyframes, reader.sightings()
@@ -101,7 +104,7 @@ def from_gtsam(
     sources = chosen or _default_sources(radii_given=radii is not None, covisible=len(covisible) > 0)
     found = {"between": between, "covisibility": covisible}
     pairs = {name: found[name] for name in found if name in sources}
-    own = _roles(reader, covisible, closures)
+    own = _roles(reader, covisible, closing)
 
     # how far the space around them is free, and what that connects along the track
     seen = minimum_sphere_radii(sightings, keyframes.positions, np.concatenate([*pairs.values(), _NO_PAIRS]))
@@ -122,13 +125,12 @@ def from_gtsam(
 _NO_PAIRS = np.empty((0, 2), dtype=np.int64)
 
 
-def _checked_sources(edges: Collection[str]) -> set[str]:
-    chosen = {edges} if isinstance(edges, str) else set(edges)
-    if not chosen or not chosen <= set(EDGE_SOURCES):
-        raise InvalidOptionError(
-            f"expected edges from {', '.join(EDGE_SOURCES)}, got {', '.join(map(repr, sorted(chosen)))}"
-        )
-    return chosen
+def checked_sources(edges: Collection[str]) -> set[str]:
+    """Names of what connects keyframes; raises InvalidOptionError."""
+    chosen = [edges] if isinstance(edges, str) or not isinstance(edges, Iterable) else list(edges)
+    if not chosen or any(name not in EDGE_SOURCES for name in chosen):
+        raise InvalidOptionError(f"expected edges from {', '.join(EDGE_SOURCES)}, got {shown(edges)}")
+    return set(chosen)
 
 
 def _default_sources(*, radii_given: bool, covisible: bool) -> set[str]:
@@ -140,27 +142,16 @@ def _checked_radii(
     keyframes: Keyframes, seen: NDArray[np.float64], given: float | Mapping[int, float] | None
 ) -> NDArray[np.float64]:
     """Radii from landmarks, replaced by given ones."""
-    if not isinstance(given, Mapping | int | float | np.integer | np.floating | None) or isinstance(given, bool):
-        raise InvalidOptionError(
-            "expected radii as one number of metres or as a mapping from keys to metres, "
-            f"got an object of type {type(given).__name__}"
-        )
+    check_radii(given)
 
     # given ones replace what landmarks say
     by_key = given if isinstance(given, Mapping) else {} if given is None else dict.fromkeys(keyframes.index, given)
     radii = seen.copy()
     for key, radius in by_key.items():
-        if int(key) not in keyframes.index:
-            raise InvalidValueError(
-                f"expected radii for poses of the graph, got one for {gtsam.DefaultKeyFormatter(int(key))}, "
-                "which is none"
-            )
-        if not (np.isfinite(radius) and radius >= 0):
-            raise InvalidValueError(
-                f"expected a radius of zero or more metres, got {radius} "
-                f"for keyframe {gtsam.DefaultKeyFormatter(int(key))}"
-            )
-        radii[keyframes.index[int(key)]] = radius
+        place = keyframes.index.get(int(key))
+        if place is None:
+            raise InvalidValueError(f"expected radii for poses of the graph, got one for {_named(key)}, which is none")
+        radii[place] = radius
 
     # a map needs one at least
     if not radii.any():
@@ -171,10 +162,33 @@ def _checked_radii(
     return radii
 
 
-def _roles(reader: FactorReader, covisible: NDArray[np.int64], closures: Collection[int] | None) -> Roles:
+def check_radii(given: object) -> None:
+    """Refuse what is neither a radius, nor a mapping from keys to radii, nor None.
+
+    Raises
+    ------
+    InvalidOptionError, InvalidValueError
+    """
+    if isinstance(given, bool) or not isinstance(given, Mapping | Real | None):
+        raise InvalidOptionError(
+            "expected radii as one number of metres or as a mapping from keys to metres, "
+            f"got an object of type {type(given).__name__}"
+        )
+    pairs = given.items() if isinstance(given, Mapping) else [] if given is None else [(None, given)]
+    for key, radius in pairs:
+        place = "" if key is None else f" for keyframe {_named(whole(key, 'a key of radii', least=0))}"
+        if not isinstance(radius, Real) or not 0 <= float(radius) < np.inf:
+            raise InvalidValueError(f"expected a radius of zero or more metres, got {shown(radius)}{place}")
+
+
+def _named(key: int) -> str:
+    return str(gtsam.DefaultKeyFormatter(int(key))) if key < 1 << 64 else str(key)
+
+
+def _roles(reader: FactorReader, covisible: NDArray[np.int64], closures: list[int] | None) -> Roles:
     """What is odometry among the factors between keyframes."""
-    slots = [row.slot for row in reader.between]
-    stray = sorted(set(closures or ()) - set(slots))
+    own = [row.slot for row in reader.between]
+    stray = sorted(set(closures or ()) - set(own))
     if stray:
         raise InvalidOptionError(
             f"expected slots of factors between two keyframes as closures, got slot {stray[0]}, which holds none"
@@ -187,7 +201,7 @@ def _roles(reader: FactorReader, covisible: NDArray[np.int64], closures: Collect
         [Tie(row.i, row.j, row.pose) for row in reader.between],
         covisible=covisible,
         held=held,
-        closures=None if closures is None else np.isin(np.array(slots, dtype=np.int64), list(closures)),
+        closures=None if closures is None else np.isin(np.array(own, dtype=np.int64), closures),
     )
 
 

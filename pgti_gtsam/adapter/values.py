@@ -95,18 +95,21 @@ def read_keyframes(values: gtsam.Values) -> Keyframes:
             f"expected poses among the values, got {values.size()} values of which none is a pose; "
             "pass the values that belong to the factor graph"
         )
-    positions = np.zeros((len(keys), 3))
+    positions, is_finite = np.zeros((len(keys), 3)), np.ones(len(keys), dtype=bool)
     n_3d, n_plain = len(keys_3d), len(keys_3d) + len(keys_2d)
     if keys_3d:
-        positions[:n_3d] = gtsam.utilities.extractPose3(values)[:, 9:12]
+        rows = gtsam.utilities.extractPose3(values)
+        positions[:n_3d], is_finite[:n_3d] = rows[:, 9:12], np.isfinite(rows).all(axis=1)
     if keys_2d:
-        positions[n_3d:n_plain, :2] = gtsam.utilities.extractPose2(values)[:, :2]
+        rows = gtsam.utilities.extractPose2(values)
+        positions[n_3d:n_plain, :2], is_finite[n_3d:n_plain] = rows[:, :2], np.isfinite(rows).all(axis=1)
     for row, pose in enumerate(others.values(), start=n_plain):
         centre = pose.translation()
         positions[row, : len(centre)] = centre
+        is_finite[row] = np.isfinite(pose.matrix()).all()
     order = np.argsort(keys)
     keys, positions = keys[order], positions[order]
-    _check_finite(keys, positions)
+    _check_finite(keys, positions, is_finite[order])
     index = {int(key): i for i, key in enumerate(keys)}
     return Keyframes(keys=keys, positions=positions, index=index, poses=others, values=values)
 
@@ -156,11 +159,12 @@ def landmark_position(values: gtsam.Values, key: int) -> NDArray[np.float64] | N
     return None
 
 
-def _check_finite(keys: NDArray[np.uint64], positions: NDArray[np.float64]) -> None:
-    bad = ~np.isfinite(positions).all(axis=1)
+def _check_finite(keys: NDArray[np.uint64], positions: NDArray[np.float64], is_finite: NDArray[np.bool_]) -> None:
+    bad = ~(is_finite & np.isfinite(positions).all(axis=1))
     if bad.any():
         i = int(bad.argmax())
+        turned = " and a rotation that is not finite" if np.isfinite(positions[i]).all() else ""
         raise InvalidValueError(
-            f"expected a finite pose, got position {positions[i].tolist()} "
+            f"expected a finite pose, got position {positions[i].tolist()}{turned} "
             f"at keyframe {gtsam.DefaultKeyFormatter(int(keys[i]))}"
         )

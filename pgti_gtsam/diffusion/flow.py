@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy import linalg, sparse
 from scipy.sparse.linalg import LinearOperator, eigsh, expm_multiply, splu
 
+from pgti_gtsam.checks import real_array
 from pgti_gtsam.diffusion.block_laplacian import NormalEquations
 from pgti_gtsam.errors import InvalidOptionError, UnsolvableGraphError
 from pgti_gtsam.spectral.poles import fit_from_zero, place
@@ -171,11 +172,11 @@ class HeatFlow:
 
         Raises
         ------
-        InvalidOptionError
-            A time below zero or not finite.
+        InvalidGraphError, InvalidOptionError
+            No numbers; a time below zero or not finite.
         """
-        times = np.asarray(times, dtype=float)
-        if not (np.isfinite(times).all() and (times >= 0).all()):
+        times = np.atleast_1d(real_array(times, "times"))
+        if times.ndim != 1 or not len(times) or not (np.isfinite(times).all() and (times >= 0).all()):
             raise InvalidOptionError("expected finite times of zero or more: heat does not flow back")
         away = (self.start - self.steady)[:, None]
         small = len(self.steady) <= MODES_UP_TO

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from pgti_gtsam.diffusion.linearisation import GROUPS
-from pgti_gtsam.factor_graphs import slots_of
+from pgti_gtsam.factor_graphs import check_map, slots_of
 
 BETWEEN = {getattr(gtsam, f"BetweenFactor{name}"): group for name, group in GROUPS.items()}
 
@@ -47,6 +47,7 @@ class Equation11:
 
 def equation_11(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> Equation11:
     """Check Eq. 11 on every between factor of Pose2, Pose3 and Similarity3, without its noise model."""
+    check_map(graph, values)
     found = [
         (slot, *_deviations(factor, group, values))
         for slot, factor in slots_of(graph)

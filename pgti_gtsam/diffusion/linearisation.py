@@ -24,7 +24,7 @@ from pgti_gtsam.errors import (
     NoPoseError,
     UnsolvableGraphError,
 )
-from pgti_gtsam.factor_graphs import slots_of
+from pgti_gtsam.factor_graphs import check_map, slots_of
 
 Frame = Literal["body", "spatial"]
 
@@ -105,6 +105,7 @@ def linearise(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> Linear
         A hard constraint, which conducts infinitely well and leaves no finite flow, or a factor that GTSAM
         cannot linearise.
     """
+    check_map(graph, values)
     group, keys, adjoints = _poses(values)
     d = adjoints.shape[-1]
     dims = {int(key): int(size) for key, size in values.dims().items()}

@@ -9,6 +9,7 @@ import gtsam
 import numpy as np
 
 from pgti_gtsam.adapter.values import typed_value
+from pgti_gtsam.checks import shown
 from pgti_gtsam.errors import InvalidOptionError
 from pgti_gtsam.estimate import optimised
 from pgti_gtsam.factor_graphs import BETWEEN, check_map, checked_closure, graph_of, without
@@ -94,7 +95,7 @@ def gate_graph(
         `InvalidOptionError` where without them nothing ties some keyframe.
     """
     check_map(graph, values)
-    gate = gate or LoopClosureGate()
+    gate = checked_gate(gate)
     whole = gate.adapted(graph, values, radii, closures)
     slots = list(closure_ends(whole, graph, closures))
     alone = without(graph, slots)
@@ -105,6 +106,13 @@ def gate_graph(
     decisions = dict(zip(slots, judged.decisions, strict=True))
     passed = without(graph, [slot for slot, decision in decisions.items() if not decision.accepted])
     return GatedGraph(graph=passed, values=optimum(passed, values, judged.settled, whole), decisions=decisions)
+
+
+def checked_gate(gate: LoopClosureGate | None) -> LoopClosureGate:
+    """The gate, one with default options without; raises InvalidOptionError."""
+    if not isinstance(gate, LoopClosureGate | None):
+        raise InvalidOptionError(f"expected a LoopClosureGate as the gate, got {shown(gate)}")
+    return gate or LoopClosureGate()
 
 
 def leave_one_out(
@@ -133,7 +141,7 @@ def leave_one_out(
     alone : list of int
         Slots of closures on which a keyframe hangs alone: the map cannot be had without them.
     """
-    gate = gate or LoopClosureGate()
+    gate = checked_gate(gate)
     slots = list(closure_ends(gate.adapted(graph, values, radii, closures), graph, closures))
     best = optimised(graph, values) if slots else values
     decisions, alone = {}, []

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.special import logit
 
 from pgti_gtsam.adapter import from_gtsam
+from pgti_gtsam.checks import in_a_line
 from pgti_gtsam.errors import InvalidGraphError, InvalidOptionError, MissingValueError
 from pgti_gtsam.factor_graphs import Closure, check_map, checked_closure, closure_graphs, factors_of, keys_of
 from pgti_gtsam.gate import paper_rule
@@ -281,7 +282,7 @@ def _check_values(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> No
         graph.error(values)
     except (RuntimeError, ValueError) as error:
         raise InvalidGraphError(
-            f"expected factors that fit the values' types, got: {str(error).strip()}; look for a factor of Pose2 among "
+            f"expected factors that fit the values' types, got: {in_a_line(error)}; look for a factor of Pose2 among "
             "Pose3, or the reverse"
         ) from error
 

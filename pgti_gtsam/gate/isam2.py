@@ -12,13 +12,10 @@ from typing import Any
 import gtsam
 
 from pgti_gtsam import outputs
+from pgti_gtsam.adapter import check_radii
 from pgti_gtsam.adapter.values import read_keyframes
-from pgti_gtsam.errors import (
-    InvalidClosureError,
-    InvalidOptionError,
-    MissingValueError,
-    UnsolvableGraphError,
-)
+from pgti_gtsam.checks import in_a_line, shown
+from pgti_gtsam.errors import InvalidClosureError, InvalidOptionError, MissingValueError, UnsolvableGraphError
 from pgti_gtsam.factor_graphs import (
     Closure,
     check_map,
@@ -82,6 +79,7 @@ class GatedISAM2:
             )
         if not isinstance(self.gate, LoopClosureGate):
             raise InvalidOptionError(f"expected a LoopClosureGate as the gate, got {self.gate!r}")
+        check_radii(self.radii)
 
     def state(self) -> State:
         """All of it but gate and parameters, as JSON-ready text and numbers; raises what `saved.encoded` raises."""
@@ -280,6 +278,8 @@ class GatedISAM2:
         InvalidClosureError
             Closures came or went since the review was made.
         """
+        if not isinstance(review, Review):
+            raise InvalidOptionError(f"expected what review() returned, got {shown(review)}")
         self._replace(review.condemned, review.redeemed)
 
     def _check_news(self, factors: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> None:
@@ -316,7 +316,7 @@ class GatedISAM2:
             self.smoother = made_anew(self.smoother, size, set(values.keys()))
             self._kept.forget()
             raise UnsolvableGraphError(
-                f"expected an update that iSAM2 can take, got: {str(error).strip()}; the smoother was made anew with "
+                f"expected an update that iSAM2 can take, got: {in_a_line(error)}; the smoother was made anew with "
                 "the factors from before"
             ) from error
 

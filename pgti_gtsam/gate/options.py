@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from pgti_gtsam.adapter import MIN_SHARED_LANDMARKS
+from pgti_gtsam.adapter import MIN_SHARED_LANDMARKS, checked_sources
+from pgti_gtsam.checks import real, shown, whole
 from pgti_gtsam.errors import InvalidOptionError
 
 SCORED = 2000
@@ -46,15 +47,20 @@ class GateOptions:
     def __post_init__(self) -> None:
         if self.rule not in RULES:
             raise InvalidOptionError(f"expected rule from {', '.join(RULES)}, got {self.rule!r}")
-        if not 0.5 <= self.min_probability < 1:
+        if not 0.5 <= real(self.min_probability, "min_probability") < 1:
             raise InvalidOptionError(
                 f"expected min_probability from 0.5 to below 1, got {self.min_probability}; a closure that is more "
                 "likely false than true is never accepted"
             )
-        if not self.max_rise > 0:
+        if not real(self.max_rise, "max_rise") > 0:
             raise InvalidOptionError(f"expected max_rise above 0, got {self.max_rise}")
-        if not 0 < self.beta < 1:
+        if not 0 < real(self.beta, "beta") < 1:
             raise InvalidOptionError(f"expected beta between 0 and 1, got {self.beta}")
+        whole(self.min_shared_landmarks, "min_shared_landmarks", least=1)
+        if self.edges is not None:
+            checked_sources(self.edges)
+        if self.scores not in (None, True, False):
+            raise InvalidOptionError(f"expected scores True, False or None, got {shown(self.scores)}")
 
     def wants_scores(self, keyframes: int) -> bool:
         """Whether Λ and Λ_glob are computed for so many keyframes, times revisits."""

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pgti_gtsam.adapter import from_gtsam
-from pgti_gtsam.errors import InvalidOptionError
+from pgti_gtsam.checks import shown, whole
+from pgti_gtsam.errors import InvalidGraphError, InvalidOptionError
 from pgti_gtsam.pose_graph import PoseGraph
 from pgti_gtsam.replay.growth import Stage, grown, recorded, sizes
 from pgti_gtsam.replay.lag import Lag, lag
@@ -105,12 +106,15 @@ def replay(
         "min_shared_landmarks": min_shared_landmarks,
         "closures": closures,
     }
-    if every < 1:
-        raise InvalidOptionError(f"expected every of at least 1, got {every}")
+    whole(every, "every", least=1)
+    if not isinstance(measure, Measure | None) or not isinstance(path, str | Path | None):
+        raise InvalidOptionError(f"expected a Measure and a path, got {shown(measure)} and {shown(path)}")
     how, file = measure or Measure(), None if path is None else Path(path)
     if not isinstance(graph, Sequence):
         pose_graph = from_gtsam(graph, values, **options)
         return _grown(pose_graph, every, how, file, progress)
+    if not isinstance(values, Sequence):
+        raise InvalidGraphError(f"expected as many gtsam.Values as graphs, in a list, got {shown(values)}")
     if len(graph) != len(values) or not len(graph):
         raise InvalidOptionError(f"expected as many values as graphs, one or more, got {len(values)} and {len(graph)}")
     record = [from_gtsam(one, estimate, **options) for one, estimate in zip(graph, values, strict=True)]

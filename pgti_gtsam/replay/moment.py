@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pgti_gtsam.integrity import relative_distortion, stable_scores, time_grid
+from pgti_gtsam.integrity import checked_measure, relative_distortion, stable_scores, time_grid
 from pgti_gtsam.optimality import GraphOptimality, optimality
 from pgti_gtsam.replay.growth import Stage
 from pgti_gtsam.spectral.heat_kernel import TOLERANCE, Method, heat_kernels
@@ -36,6 +36,9 @@ class Measure:
     norm: int = 2
     method: Method = "auto"
     tolerance: float = TOLERANCE
+
+    def __post_init__(self) -> None:
+        checked_measure(self.beta, self.n_times, self.norm)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
