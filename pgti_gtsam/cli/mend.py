@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
-import gtsam
 import typer
 
 from pgti_gtsam import datasets, outputs
@@ -27,8 +26,8 @@ from pgti_gtsam.cli.options import (
 )
 from pgti_gtsam.datasets.writer import write_graph
 from pgti_gtsam.errors import InvalidOptionError
-from pgti_gtsam.factor_graphs import BETWEEN, between_factor, factors_of, keys_of
-from pgti_gtsam.mend import Mended, clouds_in, scans_of
+from pgti_gtsam.mend import clouds_in, scans_of
+from pgti_gtsam.mend.exchange import open_ties, ties_in
 from pgti_gtsam.mend.mending import mend as mended_map
 from pgti_gtsam.plain_text import visible
 from pgti_gtsam.report.document import write_json
@@ -79,7 +78,7 @@ def mend(
             scans_of(dataset.scans) if clouds is None else clouds_in(clouds, keys),
             radii=radii,
             closures=dataset.closures,
-            matched=[] if loops is None else _ties(loops, dataset),
+            matched=[] if loops is None else ties_in(loops, dataset),
             progress=lambda step: tell(step, 0, 1),
         )
         document = mended_document(
@@ -103,7 +102,7 @@ def mend(
             if out is not None and not dry_run:
                 unwritten = write_graph(dataset, mended.graph, mended.values, out).unwritten
             if proposals is not None:
-                graph, poses = _open_ties(mended)
+                graph, poses = open_ties(mended)
                 datasets.write_g2o(graph, poses, proposals, names=dataset.names)
             if json is not None:
                 write_json(document, json)
@@ -117,42 +116,3 @@ def mend(
         console.print(f"left out of the mended map's file: {count} {what}", style="yellow", markup=False)
     written = {"mended map": None if dry_run else out, "proposals": proposals, "JSON": json, "page": html}
     print_paths(written, console)
-
-
-def _open_ties(mended: Mended) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
-    """What is wanted and was not confirmed, as predicted, with the region to search as covariance."""
-    graph, poses, keyframes = gtsam.NonlinearFactorGraph(), gtsam.Values(), read_keyframes(mended.values)
-    for attempt in mended.attempts:
-        if attempt.wanted is None or attempt.outcome == "confirmed":
-            continue
-        region = gtsam.noiseModel.Gaussian.Covariance(attempt.wanted.covariance)
-        graph.push_back(between_factor(*attempt.keys, attempt.wanted.pose, region))
-        for key in attempt.keys:
-            if not poses.exists(key):
-                poses.insert(key, keyframes.pose(key))
-    return graph, poses
-
-
-def _ties(path: Path, dataset: datasets.Dataset) -> list[Any]:
-    """The between factors of a file of ties, on the keys of the map.
-
-    Raises
-    ------
-    InvalidOptionError
-        The file names a keyframe that the map does not have.
-    """
-    keys = read_keyframes(dataset.values).keys.tolist()
-    own = {**{str(key): key for key in keys}, **{name: key for key, name in dataset.names.items()}}
-    by_index = {str(gtsam.Symbol(key).index()): key for key in keys if key >> 56}
-    named = {**(by_index if len(by_index) == len(keys) else {}), **own}
-    ties = datasets.read(path)
-    found = []
-    for factor in factors_of(ties.graph):
-        if not isinstance(factor, BETWEEN):
-            continue
-        ends = [ties.names.get(key, str(key)) for key in keys_of(factor)]
-        unknown = next((end for end in ends if end not in named), None)
-        if unknown is not None:
-            raise InvalidOptionError(f"expected ties between keyframes of the map, got {unknown} in {path}")
-        found.append(between_factor(named[ends[0]], named[ends[1]], factor.measured(), factor.noiseModel()))
-    return found

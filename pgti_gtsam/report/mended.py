@@ -10,18 +10,16 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
-import gtsam
 import numpy as np
 
 from pgti_gtsam import outputs
 from pgti_gtsam.adapter.values import read_keyframes
-from pgti_gtsam.datasets import write_g2o
 from pgti_gtsam.diagnosis import Diagnosis
 from pgti_gtsam.factor_graphs import keys_of, slots_of
 from pgti_gtsam.mend import Attempt, Mended
+from pgti_gtsam.mend.exchange import degrees, g2o_lines, planar
 from pgti_gtsam.pose_graph import EdgeSource, key_label
 from pgti_gtsam.report import web
 from pgti_gtsam.report.document import Document
@@ -38,7 +36,7 @@ NEAR_M = 300.0
 
 def mended_document(
     mended: Mended,
-    graph: gtsam.NonlinearFactorGraph,
+    graph: Any,
     *,
     name: str,
     file_format: str,
@@ -62,7 +60,7 @@ def mended_document(
     rows = {int(key): k for k, key in enumerate(pose_graph.keys)}
     order = {"confirmed": 0, "undecided": 1, "refused": 2}
     attempts = sorted(mended.attempts, key=lambda each: (order[each.outcome], _is_extra(each), sorted(each.keys)))
-    vertices, edges = _g2o(attempts, mended.values, names)
+    vertices, edges = g2o_lines(attempts, mended.values, names)
     return {
         "schema": SCHEMA,
         "schema_version": SCHEMA_VERSION,
@@ -97,7 +95,7 @@ def write_mended_page(document: Mapping[str, Any], path: Path | str) -> None:
     outputs.write_text(path, page)
 
 
-def _side(diagnosis: Diagnosis, values: gtsam.Values) -> Document:
+def _side(diagnosis: Diagnosis, values: Any) -> Document:
     integrity, keyframes = diagnosis.integrity, read_keyframes(values)
     return {
         "verdict": {"level": diagnosis.verdict, "text": diagnosis.reason},
@@ -107,7 +105,7 @@ def _side(diagnosis: Diagnosis, values: gtsam.Values) -> Document:
         "score": "infinite" if np.isinf(integrity.score) else integrity.score,
         "collision_score": "infinite" if np.isinf(integrity.collisions.score) else integrity.collisions.score,
         "position": np.round(diagnosis.pose_graph.positions, 3).tolist(),
-        "pose": [_planar(keyframes.pose(key)) for key in diagnosis.pose_graph.keys.tolist()],
+        "pose": [planar(keyframes.pose(key)) for key in diagnosis.pose_graph.keys.tolist()],
         "stretches": [
             {"kind": place.kind, "keyframes": place.revisit.keyframes.tolist()}
             for place in diagnosis.places
@@ -116,7 +114,7 @@ def _side(diagnosis: Diagnosis, values: gtsam.Values) -> Document:
     }
 
 
-def _kept(mended: Mended, graph: gtsam.NonlinearFactorGraph) -> list[list[int]]:
+def _kept(mended: Mended, graph: Any) -> list[list[int]]:
     """Keyframes of the map's own closures that stayed."""
     own = {closure.slot: closure.keyframes for closure in mended.after.closures}
     return [list(own[slot]) for slot, _ in slots_of(graph) if slot in own]
@@ -133,10 +131,10 @@ def _attempt(attempt: Attempt, rows: Mapping[int, int]) -> Document:
         "round": attempt.round,
         "place": None if wanted is None else wanted.place,
         "allowance_m": None if wanted is None else wanted.allowance_m,
-        "predicted": None if wanted is None else _planar(wanted.pose),
-        "measured": None if attempt.pose is None else _planar(attempt.pose),
+        "predicted": None if wanted is None else planar(wanted.pose),
+        "measured": None if attempt.pose is None else planar(attempt.pose),
         "moved_m": None if off is None else float(np.linalg.norm(off.translation())),
-        "moved_deg": None if off is None else _degrees(off),
+        "moved_deg": None if off is None else degrees(off),
         "agreement": None if fit is None else fit.view.agreement,
         "seen": None if fit is None else fit.view.seen,
         "matched": None if fit is None else fit.matched,
@@ -156,43 +154,8 @@ def _known(probability: float) -> float | None:
     return None if np.isnan(probability) else probability
 
 
-def _planar(pose: Any) -> list[float]:
-    """x and y in m and heading in rad, seen from above."""
-    heading = pose.theta() if isinstance(pose, gtsam.Pose2) else pose.rotation().yaw()
-    return [round(float(value), 5) for value in (pose.x(), pose.y(), heading)]
-
-
-def _degrees(pose: Any) -> float:
-    turn = pose.rotation()
-    angle = turn.theta() if isinstance(pose, gtsam.Pose2) else np.linalg.norm(gtsam.Rot3.Logmap(turn))
-    return float(np.degrees(abs(angle)))
-
-
 def _packed(points: Any) -> str:
     """Points seen from above, in cm, as base64 of little-endian int16."""
     near = points[(np.abs(points[:, :2]) < NEAR_M).all(axis=1), :2]
     some = near[np.unique(np.linspace(0, max(len(near) - 1, 0), DRAWN).round().astype(int))] if len(near) else near
     return base64.b64encode(np.round(100 * some).astype("<i2").tobytes()).decode()
-
-
-def _g2o(
-    attempts: Sequence[Attempt], values: gtsam.Values, names: Mapping[int, str] | None
-) -> tuple[list[str], list[str | None]]:
-    """Lines of the vertices of all attempts and of each one's edge, None where nothing was measured."""
-    graph, poses = gtsam.NonlinearFactorGraph(), gtsam.Values()
-    keyframes = read_keyframes(values)
-    for attempt in attempts:
-        if attempt.factor is not None:
-            graph.push_back(attempt.factor)
-            for key in attempt.keys:
-                if not poses.exists(key):
-                    poses.insert(key, keyframes.pose(key))
-    if not graph.size():
-        return [], [None] * len(attempts)
-    with TemporaryDirectory() as folder:
-        path = Path(folder) / "ties.g2o"
-        write_g2o(graph, poses, path, names=names)
-        lines = path.read_text(encoding="utf-8").splitlines()
-    edges = iter([line for line in lines if line.startswith("EDGE")])
-    vertices = [line for line in lines if line.startswith("VERTEX")]
-    return vertices, [None if attempt.factor is None else next(edges) for attempt in attempts]
