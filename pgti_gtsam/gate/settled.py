@@ -204,20 +204,29 @@ def settle(model: DriftModel, active: NDArray[np.bool_] | None = None, start: Se
 def _optimum(
     model: DriftModel, active: NDArray[np.bool_], component: NDArray[np.int32], start: Sequence[Any]
 ) -> list[Any]:
-    """Poses by Levenberg-Marquardt: damped, for false closures tear at the map."""
+    """Poses by Levenberg-Marquardt, whose damping knows no units: lengths are in ρ. False closures tear at the map."""
+    inverse, unit = 1 / model.unit_m, np.ones(len(model.spread))
+    unit[model.translation] = model.unit_m**2
     prior = gtsam.PriorFactorPose2 if model.is_planar else gtsam.PriorFactorPose3
     noise = gtsam.noiseModel.Diagonal.Variances
     graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
     for k in np.flatnonzero(active).tolist():
         i, j = model.ties.pairs[k].tolist()
-        graph.push_back(between_factor(i, j, model.ties.measured[k], noise(model.ties.variances[k])))
+        graph.push_back(
+            between_factor(i, j, _scaled(model.ties.measured[k], inverse), noise(model.ties.variances[k] / unit))
+        )
     for i in _fixed(model, component).tolist():
-        graph.push_back(prior(i, start[i], noise(model.variances(ANCHOR, ANCHOR))))
+        graph.push_back(prior(i, _scaled(start[i], inverse), noise(model.variances(ANCHOR, ANCHOR) / unit)))
     for i, pose in enumerate(start):
-        values.insert(i, pose)
+        values.insert(i, _scaled(pose, inverse))
     found = optimised(graph, values, held=gtsam.NonlinearFactorGraph(), max_iterations=MAX_ITERATIONS, tolerance=1e-3)
     at = found.atPose2 if model.is_planar else found.atPose3
-    return [at(i) for i in range(len(start))]
+    return [_scaled(at(i), model.unit_m) for i in range(len(start))]
+
+
+def _scaled(pose: Any, scale: float) -> Any:
+    """The same pose with its lengths in another unit."""
+    return type(pose)(pose.rotation(), scale * pose.translation())
 
 
 def _anchors(model: DriftModel, component: NDArray[np.int32]) -> Array:

@@ -1,0 +1,109 @@
+"""A map has no unit and no place: verdicts in micrometres, megametres and at UTM offsets are those in metres.
+
+And no run differs from another: not by the seed of Python's hashes, nor by the number of threads.
+"""
+
+import os
+import subprocess
+import sys
+
+import gtsam
+import numpy as np
+import pytest
+from test_datasets_rtabmap import truth
+
+import pgti_gtsam as pgti
+from pgti_gtsam.datasets import write_g2o
+
+UTM = np.array([5e5, 5e6, 100.0])  # m
+FRAMES = {"µm": (1e6, 0.0), "Mm": (1e-6, 0.0), "UTM": (1.0, UTM), "UTM in µm": (1e6, 1e6 * UTM)}
+CLOSURES = [(2, 22), (10, 30), (25, 45), (33, 53), (15, 56)]
+FALSE = [(5, 48), (0, 37)]
+RADIUS = 3.0  # m
+
+
+def laps(spatial, scale=1.0, offset=0.0):
+    """Three laps whose odometry drifts, with five true closures and two false ones; lengths times a scale."""
+    rng = np.random.default_rng(5)
+    sigmas = np.array([1e-3, 1e-3, 4e-3, 0.05, 0.05, 0.01] if spatial else [0.05, 0.05, 4e-3])
+    length = np.array([1, 1, 1, scale, scale, scale] if spatial else [scale, scale, 1.0])
+    drawn = [truth(5 * i) for i in range(60)]
+    poses = drawn if spatial else [gtsam.Pose2(*pose.translation()[:2], pose.rotation().yaw()) for pose in drawn]
+    tie, group = (gtsam.BetweenFactorPose3, gtsam.Pose3) if spatial else (gtsam.BetweenFactorPose2, gtsam.Pose2)
+    noise = gtsam.noiseModel.Diagonal.Sigmas(sigmas * length)
+    graph, values, here = gtsam.NonlinearFactorGraph(), gtsam.Values(), poses[0]
+
+    def in_unit(pose, shift=0.0):
+        place = pose.translation()
+        return group(pose.rotation(), scale * place + np.resize(shift, len(place)))
+
+    values.insert(0, in_unit(here, offset))
+    for i in range(59):
+        step = poses[i].between(poses[i + 1]).compose(group.Expmap(rng.normal(size=len(sigmas)) * sigmas))
+        graph.push_back(tie(i, i + 1, in_unit(step), noise))
+        here = here.compose(step)
+        values.insert(i + 1, in_unit(here, offset))
+    for i, j in CLOSURES:
+        seen = poses[i].between(poses[j]).compose(group.Expmap(rng.normal(size=len(sigmas)) * sigmas))
+        graph.push_back(tie(i, j, in_unit(seen), noise))
+    for i, j in FALSE:
+        graph.push_back(tie(i, j, group(), noise))
+    return graph, values
+
+
+@pytest.mark.parametrize("spatial", [False, True])
+def test_units_and_offsets_change_nothing(spatial):
+    expected = judged(*laps(spatial), RADIUS)
+    assert {slot for slot, verdict in expected[1].items() if verdict == "accepted"} == {59, 60, 61, 62, 63}
+    for scale, offset in FRAMES.values():
+        found = judged(*laps(spatial, scale, offset), scale * RADIUS)
+        assert found[:3] == expected[:3]
+        np.testing.assert_allclose(found[3], expected[3], rtol=0, atol=1e-6)
+        np.testing.assert_allclose(found[4], expected[4], rtol=1e-6)
+
+
+def judged(graph, values, radius):
+    """Verdict of the map, of its closures, kinds and stretches of its places, probabilities, Λ."""
+    diagnosis, gated = pgti.diagnose(graph, values, radii=radius), pgti.gate_graph(graph, values, radius)
+    own = {closure.slot: closure.probability for closure in diagnosis.closures}
+    slots = sorted(gated.decisions)
+    return (
+        diagnosis.verdict,
+        {slot: gated.decisions[slot].verdict for slot in slots},
+        [(place.kind, str(place.keyframes)) for place in diagnosis.places],
+        [*(own[slot] for slot in slots), *(gated.decisions[slot].probability for slot in slots)],
+        diagnosis.integrity.score,
+    )
+
+
+def test_seeds_of_hashes_and_threads_change_no_byte(tmp_path):
+    write_g2o(*laps(spatial=False), tmp_path / "laps.g2o")
+    first, second = (written(tmp_path, seed, threads) for seed, threads in (("0", "1"), ("1", "2")))
+    assert first.keys() == second.keys()
+    assert len(first) == 7
+    assert [name for name in first if first[name] != second[name]] == []
+
+
+def written(folder, seed, threads):
+    """Everything that an audit and a gate write about a map."""
+    script = """import sys
+from pgti_gtsam import cli
+commands = " ".join(sys.argv[1:]).split(" + ")
+for words in commands:
+    sys.argv = ["pgti-gtsam", *words.split()]
+    try:
+        cli.main()
+    except SystemExit as stop:
+        assert not stop.code
+"""
+    out = folder / seed
+    out.mkdir()
+    commands = (
+        "audit ../laps.g2o --radius 3 --json a.json --html a.html --proposals a.g2o + "
+        "gate ../laps.g2o --radius 3 --json b.json --html b.html --decisions b.jsonl --out b.g2o"
+    )
+    environment = {"PYTHONHASHSEED": seed, "OMP_NUM_THREADS": threads, "OPENBLAS_NUM_THREADS": threads}
+    subprocess.run(
+        [sys.executable, "-c", script, commands], cwd=out, env=os.environ | environment, check=True, capture_output=True
+    )
+    return {path.name: path.read_bytes() for path in out.iterdir()}
