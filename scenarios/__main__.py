@@ -75,7 +75,7 @@ def gate_kitti(
         print(line)
     text = json_text.dumps(found)
     if json is not None:
-        json.write_text(text + "\n", encoding="utf-8")
+        outputs.write_text(json, text + "\n")
     print(text)
     if not all(row["passes"] for row in found.values()):
         raise typer.Exit(1)
@@ -90,7 +90,7 @@ def scans(
     """Scan graphs with false closures between scans that look alike, through the gate. Two minutes."""
     found = scan_graphs.run(data, _whole_numbers(seeds), tell=print)
     out.parent.mkdir(parents=True, exist_ok=True)
-    out.write_text(json_text.dumps(found, indent=1) + "\n", encoding="utf-8")
+    outputs.write_text(out, json_text.dumps(found, indent=1) + "\n")
     print(f"results: {out}")
 
 
@@ -262,7 +262,7 @@ def real_near_misses(
     """Bicocca's loops through the gate, false ones by what they miss by, at three radii. Half a minute."""
     rows = near_misses.run(data, tell=print)
     out.parent.mkdir(parents=True, exist_ok=True)
-    out.write_text(json_text.dumps(rows, indent=1) + "\n", encoding="utf-8")
+    outputs.write_text(out, json_text.dumps(rows, indent=1) + "\n")
     print("\n" + "\n".join(near_misses.report(rows)) + f"\nresults: {out}")
 
 
@@ -278,7 +278,7 @@ def running_pipeline(
     """What the gate costs in front of iSAM2, update by update, beside iSAM2 alone. Five minutes."""
     rows = pipeline.run(largest, seed=0, tell=print)
     out.parent.mkdir(parents=True, exist_ok=True)
-    out.write_text(json_text.dumps(rows, indent=1) + "\n", encoding="utf-8")
+    outputs.write_text(out, json_text.dumps(rows, indent=1) + "\n")
     pipeline.draw(rows, out.with_suffix(".png"))
     print(f"results: {out}")
 
@@ -364,6 +364,6 @@ def _names(text: str) -> list[str]:
 if __name__ == "__main__":
     try:
         app()
-    except PgtiError as error:
+    except (PgtiError, OSError) as error:
         print(f"scenarios: {error}", file=sys.stderr)
         sys.exit(2)

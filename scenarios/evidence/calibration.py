@@ -20,6 +20,7 @@ from scipy.special import expit
 from scipy.stats import beta
 
 import pgti_gtsam as pgti
+from pgti_gtsam import outputs
 from scenarios import near_misses, worlds
 from scenarios.aliasing import field, methods
 from scenarios.evidence.rise_fit import arrivals
@@ -168,7 +169,8 @@ def draw(rows: Sequence[dict[str, Any]], path: Path) -> None:
     above.set(ylabel="share that is true", ylim=(-0.02, 1.02))
     above.legend(fontsize=8, loc="upper left", bbox_to_anchor=(1.0, 1.0))
     below.set(xlabel="decision.probability", ylabel="closures", yscale="log", xlim=(-0.02, 1.02))
-    figure.savefig(path, dpi=110)
+    with outputs.drawn(path) as part:
+        figure.savefig(part, dpi=110)
     plt.close(figure)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import pgti_gtsam as pgti
-from pgti_gtsam import datasets
+from pgti_gtsam import datasets, outputs
 from pgti_gtsam.datasets import Dataset
 from scenarios.mend.logs import chained, damaged
 
@@ -28,7 +28,8 @@ def draw(log: Path, out: Path) -> None:
     for attempt in ties:
         ends = np.array([mended.values.atPose2(key).translation() for key in attempt.keys])
         after.plot(*ends.T, color="#1b7a43", linewidth=1.0)
-    figure.savefig(out, dpi=110)
+    with outputs.drawn(out) as part:
+        figure.savefig(part, dpi=110)
 
 
 def _map(axes: Any, dataset: Dataset, values: gtsam.Values, title: str) -> None:

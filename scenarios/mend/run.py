@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from pgti_gtsam import outputs
 from scenarios.mend import aces, logs, worlds
 
 Found = dict[str, list[dict[str, Any]]]
@@ -30,7 +31,7 @@ def run(data: Path | None, seeds: Sequence[int], out: Path, tell: Callable[[str]
             return
         rows.append({**known, **make()})
         tell(f"{table}: {known}")
-        out.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+        outputs.write_text(out, json.dumps(found, indent=1) + "\n")
 
     for log, kind in [(log, kind) for kind in logs.KINDS for log in logs.LOGS] if data is not None else []:
         for seed in seeds if kind.startswith("a tenth") else seeds[:1]:
