@@ -82,7 +82,7 @@ def test_the_verdicts_in_space_and_in_the_plane_are_those_of_the_smoother(world)
             values.insert(k, getattr(isam, f"calculateEstimate{kind}")(k - 1).compose(measured))
             isam.update(factors, values)
             lines, closures = steps(drive, k, k + 1), []
-            if k > LAP and k % 3 == 0:
+            if k in (LAP + 3, LAP + 6, LAP + 9):
                 nowhere = type(measured)() if k % 2 else None
                 closures, lines = [drive.closure(k - LAP, k, nowhere)], [*lines, closing(drive, k - LAP, k, nowhere)]
             answers, update = told(session, lines), isam.update(closures=closures) if closures else None
@@ -100,12 +100,11 @@ def test_a_changed_mind_is_told_by_the_line_of_the_closure(bias, off, verdict):
     measured = world.truth[3].between(world.truth[LAP + 3]).compose(gtsam.Pose2(off, off, 0.0))
     (first,) = told(session, [json.dumps({"g2o": edge(3, LAP + 3, measured), "id": "first"})])
     assert first["verdict"] == "undecided"
-    resumed = Session.resumed(json.loads(json.dumps(session.state())), GATE)
-    later = [closing(world, k, LAP + k) for k in (4, 5, 6, 7, 9)]
-    for each in (session, resumed):
-        changed = [answer for answer in told(each, later) if answer["changed"]]
-        assert ("first", LAP + 11, verdict) in [(answer["id"], answer["line"], answer["verdict"]) for answer in changed]
-        assert each.undecided == 0
+    session = Session.resumed(json.loads(json.dumps(session.state())), GATE)
+    later = told(session, [closing(world, k, LAP + k) for k in (4, 5, 6, 7, 9)])
+    changed = [(answer["id"], answer["line"], answer["verdict"]) for answer in later if answer["changed"]]
+    assert ("first", LAP + 11, verdict) in changed
+    assert session.undecided == 0
 
 
 def test_an_edge_to_a_vertex_that_is_not_there_waits_for_it(world):
