@@ -78,6 +78,7 @@ def _row(n_keyframes: int, steps: Sequence[Times], closings: Sequence[Times]) ->
         for kind, own in zip(("wall", "processor"), np.array(times).T, strict=True):
             row[f"{name}_{kind}_s"] = float(np.median(own))
             row[f"{name}_{kind}_p99_s"] = float(np.quantile(own, 0.99))
+            row[f"{name}_{kind}_slowest_s"] = float(own.max())
     return row
 
 
@@ -86,7 +87,8 @@ def line(row: Row) -> str:
 
     def words(name: str) -> str:
         wall, busy = (
-            f"{row[f'{name}_{kind}_s'] * 1e3:.1f} ms (p99 {row[f'{name}_{kind}_p99_s'] * 1e3:.1f})"
+            f"{row[f'{name}_{kind}_s'] * 1e3:.1f} ms (p99 {row[f'{name}_{kind}_p99_s'] * 1e3:.0f}, "
+            f"slowest {row[f'{name}_{kind}_slowest_s'] * 1e3:.0f})"
             for kind in ("wall", "processor")
         )
         return f"{wall}, on the processor {busy}"

@@ -3,8 +3,8 @@
 `ties` and `upright` say what holds a map together, `drift_model` what that predicts of any relative pose, and `terms`
 what a closure's measurement says against it. `reference_map` is the map before any candidate, `candidate_map` the map
 with some; `candidates` makes ties of closures, `admission` takes the surest first; `paper_rule` is the paper's gate on
-its own. `gate` decides, `batch` gates whole graphs, `isam2` wraps a smoother, which keeps a `grown_map`.
-`left_out` and `own_closures` judge a finished map's closures against each other.
+its own. `gate` decides, `batch` gates whole graphs, `isam2` wraps a smoother, which keeps a `grown_map`;
+`saved` writes both down. `left_out` and `own_closures` judge a finished map's closures against each other.
 """
 
 from pgti_gtsam.gate.batch import GatedGraph, gate_graph
