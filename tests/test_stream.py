@@ -169,6 +169,27 @@ def test_landmarks_give_radii_and_their_sightings_can_be_a_closure(world):
     assert "drift" in answer["terms"]
 
 
+def test_what_comes_before_its_vertex_or_its_landmark_waits_for_it(world):
+    session = Session.started(GATE, RADIUS)
+    early = ["EDGE_SE2_XY 0 1 1 2 400 0 400", "EDGE_BEARING_SE2_XY 1 2 0.5 400", "VERTEX_XY 2 3 1"]
+    assert told(session, [*early, *steps(world, 1, 3)]) == []
+    assert session.n_variables == 4
+    assert [answer["line"] for answer in session.end()] == [2]
+    session = Session.resumed(json.loads(json.dumps(session.state())), GATE)
+    assert told(session, ["EDGE_SE2_XY 2 2 1 1 400 0 400"]) == session.end() == []
+    assert session.n_variables == 5
+
+
+def test_where_a_sensor_sits_can_be_said_again():
+    session, seen = Session.started(GATE, RADIUS), "EDGE_SE3_TRACKXYZ 0 1 0 1 2 3 1 0 0 1 0 1"
+    parameter = "PARAMS_SE3OFFSET 0 {} 0 0 0 0 0 1"
+    lines = ["VERTEX_SE3:QUAT 0 0 0 0 0 0 0 1", parameter.format(9), parameter.format(1), seen]
+    assert told(session, lines) == []
+    assert np.allclose(session.isam.calculateEstimatePoint3(gtsam.symbol("l", 1)), [2, 2, 3])
+    (answer,) = told(session, ["PARAMS_SE3OFFSET 0 1"])
+    assert "expected 9 fields" in answer["error"]
+
+
 def test_radii_come_by_the_line(world):
     session = begun(world, LAP + 6, radius_m=None)
     (answer,) = told(session, [closing(world, 5, LAP + 5)])

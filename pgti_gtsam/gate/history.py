@@ -96,16 +96,27 @@ def made_anew(smoother: gtsam.ISAM2, size: int, new: set[int]) -> gtsam.ISAM2:
 
 
 def smoother_of(slots: Sequence[Any], values: gtsam.Values, parameters: gtsam.ISAM2Params) -> gtsam.ISAM2:
-    """A smoother of some factors, each in its slot or None for an empty one, linearised at some values."""
-    found, any_factor = gtsam.ISAM2(parameters), next((factor for factor in slots if factor is not None), None)
+    """A smoother of some factors, each in its slot or None for an empty one, linearised at some values.
+
+    What passed step by step may be singular to rounding as a whole: the smoother factorises by QR then.
+    """
+    any_factor = next((factor for factor in slots if factor is not None), None)
     if any_factor is None:
-        return found
+        return gtsam.ISAM2(parameters)
 
     # something else stands in empty slots until these are emptied
     factors = gtsam.NonlinearFactorGraph()
     for factor in slots:
         factors.push_back(any_factor if factor is None else factor)
-    found.update(factors, values)
+    found = gtsam.ISAM2(parameters)
+    try:
+        found.update(factors, values)
+    except RuntimeError:
+        asked = parameters.getFactorization()
+        parameters.setFactorization("QR")
+        found = gtsam.ISAM2(parameters)
+        parameters.setFactorization(asked)
+        found.update(factors, values)
     if empty := [slot for slot, factor in enumerate(slots) if factor is None]:
         found.update(gtsam.NonlinearFactorGraph(), gtsam.Values(), removeFactorIndices=empty)
     return found

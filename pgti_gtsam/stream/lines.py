@@ -24,7 +24,7 @@ from pgti_gtsam.errors import InvalidOptionError
 from pgti_gtsam.factor_graphs import keys_of
 
 RADIUS = "RADIUS"
-PARAMETERS = {"PARAMS_SE2OFFSET", "PARAMS_SE3OFFSET"}
+PARAMETERS = {"PARAMS_SE2OFFSET": 3, "PARAMS_SE3OFFSET": 7}
 WISHES = {"FIX", "VERTEX_SWITCH", "EDGE_SWITCH_PRIOR", "PARAMS_CAMERAPARAMETERS"}
 """Lines for an optimiser, of which nothing is read."""
 
@@ -84,6 +84,7 @@ class Read:
     poses: Mapping[int, Pose] = field(default_factory=dict)
     points: Mapping[int, NDArray[np.float64]] = field(default_factory=dict)
     radii: Mapping[int, float] = field(default_factory=dict)
+    parameters: Mapping[str, str] = field(default_factory=dict)
     ties: Sequence[Tie] = ()
     is_spatial: bool | None = None
 
@@ -147,7 +148,7 @@ def is_loss(line: str) -> bool:
     return line.startswith("#") and MARK in line
 
 
-def read(message: Message, line: int, parameters: Sequence[str] = ()) -> Read:
+def read(message: Message, line: int, parameters: Mapping[str, str]) -> Read:
     """What the g2o lines of a message hold.
 
     Parameters
@@ -156,26 +157,31 @@ def read(message: Message, line: int, parameters: Sequence[str] = ()) -> Read:
         Of one line, or of a closure.
     line : int
         Where it stands.
-    parameters : sequence of str
-        Lines that say where sensors sit on their bodies.
+    parameters : mapping of str to str
+        Lines that say where sensors sit on their bodies, by tag and identifier, from before.
 
     Raises
     ------
     FileFormatError, InvalidOptionError
         A malformed line; one of an unknown kind; one that ties a vertex to itself, or sees a landmark at no distance.
     """
-    file = split_lines(Path("stream"), "\n".join((*parameters, *message.texts)))
+    own = {" ".join(text.split()[:2]): text for text in message.texts if text.startswith(tuple(PARAMETERS))}
+    before = [text for name, text in parameters.items() if name not in own]
+    file = split_lines(Path("stream"), "\n".join((*before, *message.texts)))
     unknown = next((tag for tag in file.tags if tag not in KNOWN), None)
     if unknown is not None:
         raise InvalidOptionError(
             f"expected a g2o line such as EDGE_SE2, EDGE_SE3:QUAT or {RADIUS}, got {quote(unknown)}"
         )
+    for tag, width in PARAMETERS.items():
+        file.table(tag, ids=1, widths=[width])
     said = {tag for tag in file.tags if tag not in PARAMETERS}
     poses = g2o.pose_vertices(file) if said & g2o.POSES.keys() else {}
     return Read(
         poses=poses,
         points=points(file) if said & POINTS.keys() else {},
         radii={**message.radii, **(_read_radii(file) if RADIUS in said else {})},
+        parameters=own,
         ties=_ties(file, said, message, line),
         is_spatial=any("SE3" in tag or "XYZ" in tag for tag in said) if said - WISHES - {RADIUS} else None,
     )

@@ -30,7 +30,7 @@ from pgti_gtsam.factor_graphs import graph_of, measured_from
 from pgti_gtsam.gate import ClosureDecision, GatedISAM2, GatedUpdate, LoopClosureGate
 from pgti_gtsam.pose_graph import key_label
 from pgti_gtsam.report.decisions import evidence
-from pgti_gtsam.stream.lines import PARAMETERS, Message, Name, Tie, apart, is_loss, message_of, read
+from pgti_gtsam.stream.lines import Message, Name, Tie, apart, is_loss, message_of, read
 
 ORIGIN = 1e-3
 """Standard deviation, m and rad, that the first vertex is held with: no relative pose depends on it."""
@@ -56,7 +56,7 @@ class Session:
     _early: dict[int, list[Tie]] = field(default_factory=dict)  # what waits, by the vertices that are not there yet
     _radii: dict[int, float] = field(default_factory=dict)  # those that the smoother was not told
     _points: dict[int, NDArray[np.float64]] = field(default_factory=dict)  # landmarks that nothing sees yet
-    _parameters: list[str] = field(default_factory=list)  # lines that say where sensors sit
+    _parameters: dict[str, str] = field(default_factory=dict)  # lines that say where sensors sit, the last of a name
     _undecided: dict[int, Answer] = field(default_factory=dict)  # head of the answer, by the closure's number
     _loss: str | None = None  # a comment for the next line
 
@@ -166,16 +166,17 @@ class Session:
                 raise InvalidGraphError(f"expected a line of a {words[0]} map as before, got one of a {words[1]} map")
             self._is_spatial = said.is_spatial
         self._note_radii(said.radii)
-        self._parameters += [text for text in message.texts if text.startswith(tuple(PARAMETERS))]
+        self._parameters |= said.parameters
         self._points |= {key: point for key, point in said.points.items() if not self.isam.valueExists(key)}
 
         # the first vertex, and what ties it
-        for key, pose in said.poses.items():
-            if not self._ends:
+        if not self._ends:
+            first = dict(list(said.poses.items())[:1])
+            if said.ties and said.ties[0].is_edge:
+                first = {min(said.ties[0].keys): type(said.ties[0].factors[0].measured())()}
+            for key, pose in first.items():
                 self._start(key, pose)
-        if said.ties and said.ties[0].is_edge and not self._ends:
-            tie = said.ties[0]
-            self._start(min(tie.keys), type(tie.factors[0].measured())())
+            return self._tied([*self._freed(first), *said.ties])
         return self._tied(said.ties)
 
     def _note_radii(self, radii: Any) -> None:
@@ -220,9 +221,13 @@ class Session:
             except PgtiError as error:
                 answers.append(_refusal(tie.line, tie.message.name, error))
                 continue
-            freed = [waiting for key in missing for waiting in self._early.pop(key, ())]
-            pending.extend(sorted(freed, key=lambda waiting: max(waiting.keys) - min(waiting.keys)))  # steps first
+            pending.extend(self._freed(missing))
         return answers
+
+    def _freed(self, keys: Iterable[int]) -> list[Tie]:
+        """What waits for some variables that are there by now, steps first."""
+        found = [tie for key in keys for tie in self._early.pop(key, ())]
+        return sorted(found, key=lambda tie: max(tie.keys) - min(tie.keys))
 
     def _value(self, tie: Tie, missing: Sequence[int]) -> Any | None:
         """Where a tie puts the one variable that is not there; None where it waits for another tie to do that."""
@@ -230,8 +235,10 @@ class Session:
         if tie.message.kind == "closure":
             return None
         if new == tie.landmark:
+            if tie.point is None:  # a bearing alone holds no landmark
+                return None
             pose = self._pose(next(key for key in tie.keys if key != new))
-            return self._points.get(new, None if tie.point is None else pose.transformFrom(tie.point))
+            return self._points.get(new, pose.transformFrom(tie.point))
         if not tie.is_edge:
             return None
         known = next(key for key in tie.keys if key != new)
