@@ -53,6 +53,8 @@ RADII = {
     "negative": -1,
     "NaN": np.nan,
     "infinite": np.inf,
+    "huge": 1e300,
+    "tiny": 1e-200,
     "complex": 1j,
     "function": lambda key: 1.0,
     "text as key": {"x": 1.0},

@@ -162,6 +162,10 @@ def _checked_radii(
     return radii
 
 
+LARGEST_M = 1e30
+"""Of a radius, as of any number in a file: its square and the inverse of its square are still float64s."""
+
+
 def check_radii(given: object) -> None:
     """Refuse what is neither a radius, nor a mapping from keys to radii, nor None.
 
@@ -179,6 +183,10 @@ def check_radii(given: object) -> None:
         place = "" if key is None else f" for keyframe {_named(whole(key, 'a key of radii', least=0))}"
         if not isinstance(radius, Real) or not 0 <= float(radius) < np.inf:
             raise InvalidValueError(f"expected a radius of zero or more metres, got {shown(radius)}{place}")
+        if radius and not 1 / LARGEST_M <= float(radius) <= LARGEST_M:
+            raise InvalidValueError(
+                f"expected a radius of zero, or from {1 / LARGEST_M:g} to {LARGEST_M:g} m, got {shown(radius)}{place}"
+            )
 
 
 def _named(key: int) -> str:
