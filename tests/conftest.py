@@ -1,6 +1,9 @@
-"""What tests of the command line share."""
+"""What tests of the command line share. Two processes test at once, with one BLAS thread each."""
 
+import os
 import sys
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import pytest
 

@@ -164,6 +164,8 @@ def test_a_disk_that_fills_up_loses_nothing(two, kept):
 def replace_for_ever(paths, ready):
     """Replace two large files together, again and again."""
     sys.stderr = open(os.devnull, "w")  # noqa: SIM115  where an interrupt leaves its traceback
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # whatever an earlier test has made of these
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
     ready.set()
     while True:
         put(*paths)
@@ -178,7 +180,10 @@ def killed(paths, number, delay):
     ready.wait()
     time.sleep(delay)
     os.kill(process.pid, number)
-    process.join()
+    process.join(timeout=60)
+    still_there = process.is_alive()
+    process.kill()
+    assert not still_there
     return process.exitcode
 
 

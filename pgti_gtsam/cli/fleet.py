@@ -45,8 +45,9 @@ def audit_many(
 ) -> None:
     """The same audit of many maps: a ranking, a table, an index page, and a page for each."""
     if out is None:
+        meant = f"the maps in {paths[0]}" if len(paths) == 1 else f"{len(paths)} maps"
         raise InvalidOptionError(
-            f"expected --out FOLDER for the audits of {len(paths)} maps, got none; "
+            f"expected --out FOLDER for the audits of {meant}, got none; "
             "if the files are sessions or robots of one map, say --one-map"
         )
     if not (limit_s > 0 and limit_mb > 0):
