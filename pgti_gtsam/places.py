@@ -17,6 +17,7 @@ from scipy.spatial import KDTree
 
 from pgti_gtsam.errors import NoRadiusError
 from pgti_gtsam.integrity import Integrity
+from pgti_gtsam.pair_codes import codes_of
 from pgti_gtsam.pose_graph import EdgeSource, PoseGraph
 from pgti_gtsam.support_graph import explained_overlaps
 from pgti_gtsam.track import Track, closure_edges
@@ -93,7 +94,7 @@ def revisits(pose_graph: PoseGraph, integrity: Integrity, track: Track) -> list[
     while len(left):
         # tie the largest group, and see what follows
         own = left[groups == np.bincount(groups).argmax()]
-        rest = ~np.isin(left[:, 0] * n + left[:, 1], own[:, 0] * n + own[:, 1])
+        rest = ~np.isin(codes_of(left, n), codes_of(own, n))
         known = np.concatenate([known, own])
         follows = rest.copy()
         follows[rest] = explained_overlaps(n, known, left[rest], odometry, own)

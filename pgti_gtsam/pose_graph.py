@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pgti_gtsam.checks import real_array, whole_array
 from pgti_gtsam.errors import InvalidGraphError, InvalidValueError, NoPoseError
+from pgti_gtsam.pair_codes import codes_of, pairs_of
 from pgti_gtsam.sightings import Sightings
 
 Radii: TypeAlias = float | Mapping[int, float]
@@ -228,9 +229,8 @@ def _merge_edges(
     n: int,
 ) -> tuple[NDArray[np.int64], NDArray[np.uint8], tuple[tuple[int, ...], ...], NDArray[np.float64] | None]:
     """Sort the pairs, and merge what is known of pairs that occur more than once."""
-    low, high = edges.min(axis=1, initial=n), edges.max(axis=1, initial=0)
-    codes, row = np.unique(low * n + high, return_inverse=True)
-    merged_edges = np.stack([codes // n, codes % n], axis=1)
+    codes, row = np.unique(codes_of(edges, n), return_inverse=True)
+    merged_edges = pairs_of(codes, n)
     merged_sources = np.zeros(len(codes), dtype=np.uint8)
     np.bitwise_or.at(merged_sources, row, sources)
     gathered: list[tuple[int, ...]] = [()] * len(codes)

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.spatial import KDTree
 
+from pgti_gtsam.pair_codes import Codes, Pairs, codes_of, pairs_of
 from pgti_gtsam.pose_graph import EdgeSource, PoseGraph
 
 MAX_PATHS = 10_000_000
@@ -55,17 +56,17 @@ def support_graph(pose_graph: PoseGraph) -> SupportGraph:
     """Free-space graph, merged graph and explained graph of a pose graph (section 5.1)."""
     n, edges = len(pose_graph), pose_graph.edges
     free = overlapping_spheres(pose_graph.positions, pose_graph.radii)
-    p_codes, f_codes = (pairs[:, 0] * n + pairs[:, 1] for pairs in (edges, free))
+    p_codes, f_codes = codes_of(edges, n), codes_of(free, n)
     inserted = np.setdiff1d(f_codes, p_codes, assume_unique=True)
     odometry = edges[pose_graph.edge_sources & EdgeSource.ODOMETRY > 0]
-    explained = explained_overlaps(n, edges, _pairs(inserted, n), odometry)
+    explained = explained_overlaps(n, edges, _frozen(inserted, n), odometry)
     return SupportGraph(
         free_space_edges=free,
-        merged_edges=_pairs(np.union1d(p_codes, f_codes), n),
-        inserted_edges=_pairs(inserted, n),
-        explained_edges=_pairs(np.union1d(p_codes, inserted[explained]), n),
-        fusion_edges=_pairs(inserted[explained], n),
-        collision_edges=_pairs(inserted[~explained], n),
+        merged_edges=_frozen(np.union1d(p_codes, f_codes), n),
+        inserted_edges=_frozen(inserted, n),
+        explained_edges=_frozen(np.union1d(p_codes, inserted[explained]), n),
+        fusion_edges=_frozen(inserted[explained], n),
+        collision_edges=_frozen(inserted[~explained], n),
     )
 
 
@@ -169,18 +170,13 @@ def overlapping_spheres(positions: NDArray[np.float64], radii: NDArray[np.float6
             near = tree_a.sparse_distance_matrix(trees[b], reach * (1 + 1e-12), output_type="ndarray")
             i, j = groups[a][near["i"]], groups[b][near["j"]]
             meet = near["v"] <= radii[i] + radii[j]
-            found.append(_codes(i[meet], j[meet], len(radii)))
-    return _pairs(np.unique(np.concatenate(found)), len(radii))
+            met = np.stack([i[meet], j[meet]], axis=1)
+            found.append(codes_of(met[met[:, 0] != met[:, 1]], len(radii)))
+    return _frozen(np.unique(np.concatenate(found)), len(radii))
 
 
-def _codes(i: NDArray[np.int64], j: NDArray[np.int64], n: int) -> NDArray[np.int64]:
-    """One integer for each pair of different vertices, in the order of the sorted pairs."""
-    distinct = i != j
-    low, high = np.minimum(i, j)[distinct], np.maximum(i, j)[distinct]
-    return np.asarray(low * n + high)
-
-
-def _pairs(codes: NDArray[np.int64], n: int) -> NDArray[np.int64]:
-    pairs: NDArray[np.int64] = np.stack([codes // n, codes % n], axis=1)
+def _frozen(codes: Codes, n: int) -> Pairs:
+    """Pairs of some codes, read-only."""
+    pairs = pairs_of(codes, n)
     pairs.flags.writeable = False
     return pairs

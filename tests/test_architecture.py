@@ -17,6 +17,7 @@ FLOORS = [
     "outputs",
     "factor_graphs",
     "sightings",
+    "pair_codes",
     "pose_graph",
     "track",
     "adapter",

@@ -64,10 +64,10 @@ def test_a_closure_toggled_to_first_order_is_nearly_at_the_optimum(world):
     offered, [[first], [second]] = reference.offered([world.closure(4, 4 + LAP), world.closure(20, 20 + LAP)])
     tied = settle(offered.model, np.arange(len(offered.active)) != second, offered)
     for base, tie in ((tied, second), (tied, first)):
-        near = base.toggled(np.array([tie]))
-        best = settle(base.model, near.active, base)
-        assert near.active[tie] != base.active[tie]
-        missed = [one.localCoordinates(other) for one, other in zip(near.poses, best.poses, strict=True)]
+        poses, active = base.toggled(np.array([tie]))
+        best = settle(base.model, active, base)
+        assert active[tie] != base.active[tie]
+        missed = [one.localCoordinates(other) for one, other in zip(poses, best.poses, strict=True)]
         moved = [one.localCoordinates(other) for one, other in zip(base.poses, best.poses, strict=True)]
         assert np.abs(missed).max() < 0.05 * max(np.abs(moved).max(), RADIUS)
 

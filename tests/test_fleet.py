@@ -72,6 +72,9 @@ def test_every_map_has_its_row_and_nothing_is_done_twice(run, maps, tmp_path):
     before = (out / "maps.jsonl").read_bytes()
     assert audit_many(run, maps, "--out", out, "--fail-on", "inconsistent")[0] == 1
     assert (out / "maps.jsonl").read_bytes() == before
+    assert run("audit", maps, "--radius", RADIUS, "--limit-mb", "5000", "--out", out)[0] == 0
+    again = (out / "maps.jsonl").read_text()[len(before.decode()) :].splitlines()
+    assert [Path(json.loads(line)["map"]).name for line in again] == ["corrupt.g2o"]  # others are known by now
 
 
 @pytest.mark.parametrize(("limit", "why"), [({"limit_s": 0.2}, "no verdict after 0.2 s"), ({"limit_mb": 300}, "")])

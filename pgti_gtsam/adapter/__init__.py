@@ -16,6 +16,7 @@ from pgti_gtsam.adapter.values import Keyframes, read_keyframes
 from pgti_gtsam.checks import shown, slots, whole
 from pgti_gtsam.errors import InvalidOptionError, InvalidValueError, NoRadiusError
 from pgti_gtsam.factor_graphs import check_map
+from pgti_gtsam.pair_codes import codes_of
 from pgti_gtsam.pose_graph import Adaptation, EdgeSource, PoseGraph
 from pgti_gtsam.sightings import Sightings, covisibility_edges, minimum_sphere_radii
 from pgti_gtsam.track import Roles, Tie, roles, track_edges
@@ -255,17 +256,12 @@ def _odometry_marks(
 ) -> NDArray[np.int64]:
     """`EdgeSource.ODOMETRY` of steps, and `EdgeSource.SKIP` where every factor between two keyframes is a skip."""
     n = len(own.chain)
-    codes, steps = _codes(edges, n), _codes(own.steps, n)
+    codes, steps = codes_of(edges, n), codes_of(own.steps, n)
     marks = np.where(np.isin(codes, steps) & (flags != EdgeSource.TRACK), EdgeSource.ODOMETRY, 0)
     if between is not None and len(between):
-        skips, others = (np.unique(_codes(between[chosen], n)) for chosen in (own.is_skip, ~own.is_skip))
+        skips, others = (np.unique(codes_of(between[chosen], n)) for chosen in (own.is_skip, ~own.is_skip))
         marks[np.isin(codes, np.setdiff1d(skips, others)) & (flags == EdgeSource.BETWEEN)] = EdgeSource.SKIP
     return marks
-
-
-def _codes(pairs: NDArray[np.int64], n: int) -> NDArray[np.int64]:
-    """One number for each pair of n keyframes, in either order."""
-    return np.asarray(pairs.min(axis=1, initial=n) * n + pairs.max(axis=1, initial=0))
 
 
 def _adaptation(

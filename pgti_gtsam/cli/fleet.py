@@ -5,6 +5,7 @@ from __future__ import annotations
 import json as json_text
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -65,6 +66,7 @@ def audit_many(
             out / "maps.jsonl",
             {job.key: job for job in jobs},
             fleet.audited,
+            key_of=partial(_known_as, limits=(limit_s, limit_mb)),
             scheduler=scheduler,
             workers=workers,
             progress=lambda done, of: tell("maps", done, of),
@@ -102,6 +104,12 @@ def compare(
         write_json(record, json)
     if fail_on_worse and found.is_worse:
         raise typer.Exit(1)
+
+
+def _known_as(row: Mapping[str, Any], limits: tuple[float, float]) -> str:
+    """Key of the job that a row answers: one that failed within other limits answers none that is asked now."""
+    answers = "failed" not in row or (row["limit_s"], row["limit_mb"]) == limits
+    return str(row["key"]) if answers else f"{row['key']} within other limits"
 
 
 def _print_fleet(document: Mapping[str, Any], console: Terminal) -> None:

@@ -70,6 +70,7 @@ def audited(job: AuditJob) -> Row:
     command += [*job.words, "--json", str(document), "--html", str(page)]
     started = time.monotonic()
     row: Row = {"key": job.key, "map": job.map}
+    limits = {"limit_s": job.limit_s, "limit_mb": job.limit_mb}
     try:
         done = subprocess.run(
             command,
@@ -80,10 +81,10 @@ def audited(job: AuditJob) -> Row:
             env={**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"},
         )
     except subprocess.TimeoutExpired:
-        return row | {"failed": f"no verdict after {job.limit_s:g} s"}
+        return row | limits | {"failed": f"no verdict after {job.limit_s:g} s"}
     row["seconds"] = round(time.monotonic() - started, 3)
     if done.returncode:
-        return row | {"failed": _why(done.returncode, done.stderr, job.limit_mb)}
+        return row | limits | {"failed": _why(done.returncode, done.stderr, job.limit_mb)}
     found = summarised(json.loads(document.read_text(encoding="utf-8")))
     return row | found | {"document": document.name, "page": page.name}
 

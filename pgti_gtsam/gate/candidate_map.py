@@ -14,6 +14,7 @@ from pgti_gtsam.gate.scored_map import ScoredMap
 from pgti_gtsam.gate.settled import Settled, settle
 from pgti_gtsam.gate.terms.contact_rise import Contacts, contacts
 from pgti_gtsam.integrity import Integrity, assess
+from pgti_gtsam.pose_graph import PoseGraph
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -35,11 +36,11 @@ class CandidateMaps:
         """Which keyframes are connected, and which only touch."""
         if settled.poses is self.reference.settled.poses:
             return self.reference.contacts
-        return contacts(self.reference.drawn(settled))
+        return contacts(self._drawn(settled))
 
     def integrity(self, settled: Settled) -> Integrity:
         """PGTI of the map."""
-        return assess(self.reference.drawn(settled), beta=self.reference.beta)
+        return assess(self._drawn(settled), beta=self.reference.beta)
 
     def scores(self, active: NDArray[np.bool_], revisits: Sequence[NDArray[np.int64]]) -> list[tuple[Change, Change]]:
         """Λ and Λ_glob without and with each of some revisits, where all else is as the map has it in the end.
@@ -54,12 +55,15 @@ class CandidateMaps:
         # one map is factorised: for a lone revisit that which is kept, else the last one
         lone = len(revisits) == 1
         base = self.offered if lone else settle(self.offered.model, active, self.offered)
-        scored = self.reference.scored if lone else ScoredMap.of(self.reference.drawn(base), self.reference.beta)
+        scored = self.reference.scored if lone else ScoredMap.of(self._drawn(base), self.reference.beta)
 
         # the other side of each
         changes = []
         for ties in revisits:
-            other = scored.scores_of(self.reference.drawn(base.toggled(ties)))
+            other = scored.scores_of(self.reference.drawn(base.model, *base.toggled(ties)))
             before, after = (other, scored.scores) if base.active[ties].all() else (scored.scores, other)
             changes.append((Change(before=before[0], after=after[0]), Change(before=before[1], after=after[1])))
         return changes
+
+    def _drawn(self, settled: Settled) -> PoseGraph:
+        return self.reference.drawn(settled.model, settled.poses, settled.active)

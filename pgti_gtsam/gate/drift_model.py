@@ -68,15 +68,7 @@ class DriftModel:
     def extended(self, offered: Sequence[tuple[int, int, Any]]) -> DriftModel:
         """The same map with more ties that measure poses, as closures numbered from 0: i < j, and j seen from i."""
         more = closures_of(offered, self.unit_m, self.levelling, is_planar=self.is_planar)
-        mine = self.ties
-        ties = Ties(
-            pairs=np.concatenate([mine.pairs, more.pairs]),
-            measured=mine.measured + more.measured,
-            variances=np.concatenate([mine.variances, more.variances]),
-            slots=np.concatenate([mine.slots, more.slots]),
-            drifts=np.concatenate([mine.drifts, more.drifts]),
-        )
-        return replace(self, ties=ties)
+        return replace(self, ties=self.ties.joined(more))
 
     @property
     def is_planar(self) -> bool:

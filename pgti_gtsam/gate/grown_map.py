@@ -144,7 +144,7 @@ class GrownMap:
 
     def predicted(self, offered: Ties) -> tuple[Array, Array]:
         """By how much some ties miss what the map predicts, (g, d), and its joint covariance, (g d, g d)."""
-        ties, d = _together(self.closures, offered), offered.variances.shape[1]
+        ties, d = self.closures.joined(offered), offered.variances.shape[1]
         k, missed, spread = d * len(self.closures.pairs), self._missed(ties), self._covariance(ties.pairs)
         known = spread[:k, :k] + np.diag(self.closures.variances.ravel())
         gain = np.linalg.solve(known, spread[:k, k:]).T
@@ -159,7 +159,7 @@ class GrownMap:
         missed, spread
             As `predicted` has them.
         """
-        ties, settled = _together(self.closures, offered), self.reference.settled
+        ties, settled = self.closures.joined(offered), self.reference.settled
         tolerance = np.diag(offered.variances.ravel())
         moved = tolerance @ np.linalg.solve(spread + tolerance, missed.ravel()) - missed.ravel()
         if not np.isfinite(moved).all():
@@ -233,13 +233,3 @@ class GrownMap:
 
 def _robot(key: int) -> int:
     return key >> 56
-
-
-def _together(one: Ties, other: Ties) -> Ties:
-    return Ties(
-        pairs=np.concatenate([one.pairs, other.pairs]),
-        measured=one.measured + other.measured,
-        variances=np.concatenate([one.variances, other.variances]),
-        slots=np.concatenate([one.slots, other.slots]),
-        drifts=np.concatenate([one.drifts, other.drifts]),
-    )

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import gtsam
 import numpy as np
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 
 from pgti_gtsam.adapter.values import Keyframes, read_keyframes
 from pgti_gtsam.gate.candidates import Tie, agreeing, implied_tie, measured_ties
-from pgti_gtsam.gate.drift_model import drift_model
+from pgti_gtsam.gate.drift_model import DriftModel, drift_model
 from pgti_gtsam.gate.scored_map import ScoredMap
 from pgti_gtsam.gate.settled import Settled, settle
 from pgti_gtsam.gate.terms.contact_rise import Contacts, contacts
@@ -62,15 +63,20 @@ class ReferenceMap:
         """Number of the map's own ties; those of candidates follow."""
         return len(self.settled.active)
 
+    @property
+    def _own(self) -> PoseGraph:
+        """The map's own pose graph, where the drift model has the keyframes."""
+        return self.drawn(self.settled.model, self.settled.poses, self.settled.active)
+
     @cached_property
     def contacts(self) -> Contacts:
         """Which keyframes are connected, and which only touch, where the drift model has them."""
-        return contacts(self.drawn(self.settled))
+        return contacts(self._own)
 
     @cached_property
     def scored(self) -> ScoredMap:
         """The same map factorised, for Λ and Λ_glob of maps that differ by a few edges."""
-        return ScoredMap.of(self.drawn(self.settled), self.beta)
+        return ScoredMap.of(self._own, self.beta)
 
     def offered(self, closures: Sequence[gtsam.NonlinearFactorGraph]) -> tuple[Settled, list[list[int]]]:
         """The map with some closures as ties that do not hold yet, and which ties each closure is.
@@ -91,12 +97,21 @@ class ReferenceMap:
         way = track_of(self.pose_graph).way_m / offered.model.unit_m
         return agreeing(offered, np.arange(self.n_ties, len(offered.active)), way)
 
-    def drawn(self, settled: Settled) -> PoseGraph:
-        """The pose graph with the candidates that hold, at an optimum of the drift model."""
+    def drawn(self, model: DriftModel, poses: Sequence[Any], active: NDArray[np.bool_]) -> PoseGraph:
+        """The pose graph with the candidates that hold, where the keyframes are then.
+
+        Parameters
+        ----------
+        model : DriftModel
+            With the candidates as ties.
+        poses : sequence of n gtsam.Pose2 or gtsam.Pose3
+        active : (m,) bool
+            Ties that hold.
+        """
         own, places = self.pose_graph, np.zeros((len(self.pose_graph), 3))
-        centres = np.array([pose.translation() for pose in settled.poses])
+        centres = np.array([pose.translation() for pose in poses])
         places[:, : centres.shape[1]] = centres
-        more = settled.model.ties.pairs[self.n_ties :][settled.active[self.n_ties :]]
+        more = model.ties.pairs[self.n_ties :][active[self.n_ties :]]
         return PoseGraph(
             keys=own.keys,
             positions=places,

@@ -5,15 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pgti_gtsam.integrity import scores
+from pgti_gtsam.pair_codes import Codes, codes_of, pairs_of
 from pgti_gtsam.pose_graph import PoseGraph
 from pgti_gtsam.spectral.low_rank import SpectralState
 from pgti_gtsam.support_graph import overlapping_spheres
-
-Codes = NDArray[np.int64]
-
 
 TOLERANCE = 1e-5
 """Error of the signatures relative to the largest one: a decision needs four digits of Λ."""
@@ -48,7 +45,7 @@ class ScoredMap:
     def of(cls, pose_graph: PoseGraph, beta: float) -> ScoredMap:
         """Factorise a map, which takes as long as two new heat kernels."""
         n, (edges, merged) = len(pose_graph), _edges_of(pose_graph)
-        pose, free = (SpectralState.of(n, _pairs(codes, n), TOLERANCE) for codes in (edges, merged))
+        pose, free = (SpectralState.of(n, pairs_of(codes, n), TOLERANCE) for codes in (edges, merged))
         known = scores(pose.kernel, free.kernel, beta=beta)
         return cls(n_keyframes=n, edges=edges, merged=merged, pose=pose, free=free, beta=beta, scores=known)
 
@@ -56,7 +53,7 @@ class ScoredMap:
         """Λ and Λ_glob of another map of the same keyframes; the fewer edges differ, the sooner."""
         n, (edges, merged) = self.n_keyframes, _edges_of(pose_graph)
         more, less, more_free, less_free = (
-            _pairs(np.setdiff1d(one, other), n)
+            pairs_of(np.setdiff1d(one, other), n)
             for one, other in (
                 (edges, self.edges),
                 (self.edges, edges),
@@ -72,11 +69,7 @@ def _edges_of(pose_graph: PoseGraph) -> tuple[Codes, Codes]:
     """Codes of the edges of G_p and of G_m, sorted and unique."""
     n = len(pose_graph)
     edges, free = (
-        np.unique(pairs.min(axis=1, initial=n) * n + pairs.max(axis=1, initial=0))
+        np.unique(codes_of(pairs, n))
         for pairs in (pose_graph.edges, overlapping_spheres(pose_graph.positions, pose_graph.radii))
     )
     return edges, np.union1d(edges, free)
-
-
-def _pairs(codes: Codes, n: int) -> NDArray[np.int64]:
-    return np.stack([codes // n, codes % n], axis=1)

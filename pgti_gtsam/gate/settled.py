@@ -82,8 +82,8 @@ class Settled:
             residuals=np.concatenate([self.residuals, _residuals(added, self.poses, self.steps)]),
         )
 
-    def toggled(self, ties: NDArray[np.int64]) -> Settled:
-        """The optimum where some ties that do not hold did, or where some that hold did not.
+    def toggled(self, ties: NDArray[np.int64]) -> tuple[tuple[Any, ...], NDArray[np.bool_]]:
+        """Poses, and ties that hold, where some ties that do not hold did, or where some that hold did not.
 
         To first order, δ = −H⁻¹ Jᵀ (±R + J H⁻¹ Jᵀ)⁻¹ e, as far as that is good enough; else the optimum itself.
         """
@@ -100,9 +100,8 @@ class Settled:
         np.add.at(pull, pairs, -np.einsum("keab,ka->keb", self._jacobians(pairs), pulls.reshape(-1, d)))
         steps = solve(self.factor, pull)
         if np.isnan(spread).any() or self.model.bends(steps):
-            return settle(self.model, active, self)
-        poses = tuple(pose.retract(step) for pose, step in zip(self.poses, self.steps + steps, strict=True))
-        return replace(self, active=active, poses=poses)
+            return settle(self.model, active, self).poses, active
+        return tuple(pose.retract(step) for pose, step in zip(self.poses, self.steps + steps, strict=True)), active
 
     def joint_covariances(self, groups: Sequence[NDArray[np.int64]]) -> list[Array]:
         """Covariance of all relative poses of each group of pairs together, (g d, g d).

@@ -74,6 +74,16 @@ class Ties:
             drifts=self.drifts[own],
         )
 
+    def joined(self, more: Ties) -> Ties:
+        """These ties and more behind them."""
+        return Ties(
+            pairs=np.concatenate([self.pairs, more.pairs]),
+            measured=self.measured + more.measured,
+            variances=np.concatenate([self.variances, more.variances]),
+            slots=np.concatenate([self.slots, more.slots]),
+            drifts=np.concatenate([self.drifts, more.drifts]),
+        )
+
     def levelled(self, body: Upright, unit: float) -> Ties:
         """The same ties between poses that are turned so that their z axis is the body's vertical, in space only."""
         turn = gtsam.Pose3(body.levelling, np.zeros(3))

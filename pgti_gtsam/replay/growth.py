@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pgti_gtsam.pair_codes import without
 from pgti_gtsam.pose_graph import EdgeSource, PoseGraph
 from pgti_gtsam.support_graph import explained_overlaps, overlapping_spheres, support_graph
 
@@ -60,7 +61,7 @@ def grown(pose_graph: PoseGraph, wanted: Sequence[int]) -> Iterator[Stage]:
         Sizes, ascending.
     """
     n, edges = len(pose_graph), pose_graph.edges
-    overlaps = _without(overlapping_spheres(pose_graph.positions, pose_graph.radii), edges, n)
+    overlaps = without(overlapping_spheres(pose_graph.positions, pose_graph.radii), edges, n)
     odometry = edges[pose_graph.edge_sources & EdgeSource.ODOMETRY > 0]
     explained, before = np.zeros(len(overlaps), dtype=bool), 0
     for size in wanted:
@@ -102,7 +103,3 @@ def recorded(pose_graphs: Iterable[PoseGraph]) -> Iterator[Stage]:
             positions=pose_graph.positions,
         )
         seen |= named
-
-
-def _without(pairs: Pairs, others: Pairs, n: int) -> Pairs:
-    return pairs[~np.isin(pairs[:, 0] * n + pairs[:, 1], others[:, 0] * n + others[:, 1])]

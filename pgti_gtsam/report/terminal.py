@@ -138,8 +138,8 @@ def _scores(document: Mapping[str, Any]) -> RenderableType:
         ("Λ", summary["score"], f"largest change in how errors spread, at keyframe {worst}"),
         ("Λ_loc", split["local"], f"there, over the first {split['beta']:.0%} of the time scales: its neighbourhood"),
         ("Λ_glob", split["global"], "there, over the rest: the whole map"),
-        ("Λ of fusion", summary["fusion"]["score"], f"by {fused} overlaps that follow from ties: harmless"),
-        ("Λ of collisions", summary["collisions"]["score"], f"by {collided} overlaps that nothing explains"),
+        ("Λ of fusion", summary["fusion"]["score"], f"overlaps that follow from ties, which are harmless: {fused}"),
+        ("Λ of collisions", summary["collisions"]["score"], f"overlaps that nothing explains: {collided}"),
         ("Z̄", summary["mean_score"], "mean over the keyframes"),
         ("stable score", summary["stable_score"], "largest local change; does not shrink as the map grows"),
     ]

@@ -8,9 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pgti_gtsam.pair_codes import codes_of
 from pgti_gtsam.track.chains import Pairs, chains_of
 from pgti_gtsam.track.skips import Tie, explained
-from pgti_gtsam.track.steps import codes_of, steps_among
+from pgti_gtsam.track.steps import steps_among
 
 _NONE = np.empty((0, 2), dtype=np.int64)
 

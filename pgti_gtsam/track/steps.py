@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from pgti_gtsam.pair_codes import codes_of, pairs_of
 from pgti_gtsam.track.chains import Pairs, chains_of
 
 NEIGHBOURS = 10
@@ -18,17 +19,12 @@ LEAST_DENSE = 3
 """Least number of them: on a chain of three keyframes a single tie is all pairs."""
 
 
-def codes_of(pairs: Pairs, n: int) -> NDArray[np.int64]:
-    """One number for each pair (i, j) of n keyframes."""
-    return np.asarray(pairs[:, 0] * n + pairs[:, 1])
-
-
 def steps_among(keys: NDArray[np.uint64], measured: Pairs, covisible: Pairs, held: NDArray[np.bool_]) -> Pairs:
     """Steps among pairs that factors tie and pairs that see the same, (s, 2), sorted."""
     # pairs of one robot, but for those that two chains running through each other outvote where neighbours are rare
     n, robots = len(keys), keys >> np.uint64(56)
     codes = np.unique(codes_of(np.concatenate([measured, covisible]), n))
-    pairs = np.stack([codes // n, codes % n], axis=1)
+    pairs = pairs_of(codes, n)
     pairs = pairs[robots[pairs[:, 0]] == robots[pairs[:, 1]]]
     _, robot, sizes = np.unique(robots, return_inverse=True, return_counts=True)
     on = robot[pairs[:, 0]]
@@ -53,7 +49,7 @@ def steps_among(keys: NDArray[np.uint64], measured: Pairs, covisible: Pairs, hel
             stand_ins.append((i, j))
             reached[[i, j]], chain[chain == chain[j]] = True, chain[i]
     codes = np.unique(codes_of(np.concatenate([steps, np.array(stand_ins, dtype=np.int64).reshape(-1, 2)]), n))
-    return np.stack([codes // n, codes % n], axis=1)
+    return pairs_of(codes, n)
 
 
 def _nearest(n: int, pairs: Pairs) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

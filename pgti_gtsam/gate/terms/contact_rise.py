@@ -15,13 +15,12 @@ from numpy.typing import NDArray
 
 from pgti_gtsam.gate.decision import Change, Term
 from pgti_gtsam.integrity import stable_scores
+from pgti_gtsam.pair_codes import Pairs, codes_of, pairs_of
 from pgti_gtsam.pose_graph import EdgeSource, PoseGraph
 from pgti_gtsam.spectral.heat_kernel import heat_kernels
 from pgti_gtsam.spectral.laplacian import adjacency
 from pgti_gtsam.support_graph import overlapping_spheres
 from pgti_gtsam.track import chains_of, step_edges
-
-Pairs = NDArray[np.int64]
 
 RISE = (1.5, -3.4)
 """Log odds by the rise r of the worst keyframe's stable score, c₀ + c₁ r, on top of the drift's. `python -m scenarios
@@ -75,8 +74,8 @@ class Contacts:
 def contacts(pose_graph: PoseGraph) -> Contacts:
     """Connected and merged pairs, with explained overlaps among the connected."""
     n = len(pose_graph)
-    connected = _codes(np.concatenate([pose_graph.edges, bridged_overlaps(pose_graph)]), n)
-    free = _codes(overlapping_spheres(pose_graph.positions, pose_graph.radii), n)
+    connected = np.unique(codes_of(np.concatenate([pose_graph.edges, bridged_overlaps(pose_graph)]), n))
+    free = codes_of(overlapping_spheres(pose_graph.positions, pose_graph.radii), n)
     return Contacts(pose_graph=pose_graph, connected=connected, merged=np.union1d(connected, free))
 
 
@@ -153,10 +152,10 @@ def local_rise(before: Contacts, after: Contacts) -> tuple[Change, int | None]:
     changed = _changed(before, after, n)
     if not len(changed):
         return Change(before=0.0, after=0.0), None
-    region = _region(changed, _pairs(np.union1d(before.merged, after.merged), n), n)
+    region = _region(changed, pairs_of(np.union1d(before.merged, after.merged), n), n)
     place = np.full(n, -1)
     place[region] = np.arange(len(region))
-    graphs = [_inside(place, _pairs(c, n)) for s in (before, after) for c in (s.connected, s.merged)]
+    graphs = [_inside(place, pairs_of(c, n)) for s in (before, after) for c in (s.connected, s.merged)]
     p0, m0, p1, m1 = heat_kernels(len(region), *graphs)
     old, new = stable_scores(p0, m0, GATE_TIMES), stable_scores(p1, m1, GATE_TIMES)
     rises = (new - old)[place[changed]]
@@ -167,7 +166,7 @@ def local_rise(before: Contacts, after: Contacts) -> tuple[Change, int | None]:
 def _changed(before: Contacts, after: Contacts, n: int) -> NDArray[np.int64]:
     """Keyframes at which an edge or an overlap comes or goes, those with most changes, ascending."""
     codes = [np.setxor1d(getattr(before, name), getattr(after, name)) for name in ("connected", "merged")]
-    counts = np.bincount(_pairs(np.concatenate(codes), n).ravel(), minlength=n)
+    counts = np.bincount(pairs_of(np.concatenate(codes), n).ravel(), minlength=n)
     most = np.argsort(-counts, kind="stable")[: min(CHANGED, int((counts > 0).sum()))]
     return np.sort(most)
 
@@ -188,14 +187,6 @@ def _region(seeds: NDArray[np.int64], edges: Pairs, n: int) -> NDArray[np.int64]
 def _inside(place: NDArray[np.int64], edges: Pairs) -> Pairs:
     moved = place[edges]
     return np.asarray(moved[(moved >= 0).all(axis=1)])
-
-
-def _codes(pairs: Pairs, n: int) -> NDArray[np.int64]:
-    return np.unique(pairs.min(axis=1, initial=n) * n + pairs.max(axis=1, initial=0))
-
-
-def _pairs(codes: NDArray[np.int64], n: int) -> Pairs:
-    return np.stack([codes // n, codes % n], axis=1)
 
 
 def log_odds(rise: float) -> float:
