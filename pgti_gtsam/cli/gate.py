@@ -137,29 +137,15 @@ def gate(
         )
 
         # write what was asked for
+        options = _read_as(radius, cloud, edges, min_shared_landmarks, every)
+        options |= {"rule": rule, "min_probability": min_probability}
         with outputs.together():
             written = _write_gated(dataset, gated, out, out_values)
             if decisions is not None:
                 write_json_lines(records, decisions)
-            if json is not None or html is not None:
-                document = _document(
-                    dataset,
-                    records,
-                    [],
-                    read_keyframes(gated.values),
-                    "at the optimum with the accepted closures",
-                    {
-                        **_read_as(radius, cloud, edges, min_shared_landmarks, every),
-                        "rule": rule,
-                        "min_probability": min_probability,
-                    },
-                )
-                if json is not None:
-                    write_json(document, json)
-                if html is not None:
-                    write_gate_page(document, html)
             if rejected is not None:
                 _write_pairs(dataset, gated.rejected, rejected)
+            _write_document(dataset, gated, records, options, json, html)
 
     # show it
     console = terminal()
@@ -222,6 +208,25 @@ def closures(
     if alone:
         print_left_out({"closures, on each of which a keyframe hangs alone": len(alone)}, "the judgement", console)
     print_paths({"JSON": json}, console)
+
+
+def _write_document(
+    dataset: Dataset,
+    gated: GatedGraph,
+    records: Sequence[Record],
+    options: Mapping[str, Any],
+    json: Path | None,
+    html: Path | None,
+) -> None:
+    """Write decisions and map as JSON, as a page, or as both, if any."""
+    if json is None and html is None:
+        return
+    keyframes = read_keyframes(gated.values)
+    document = _document(dataset, records, [], keyframes, "at the optimum with the accepted closures", options)
+    if json is not None:
+        write_json(document, json)
+    if html is not None:
+        write_gate_page(document, html)
 
 
 def _gate(edges: str | None, min_shared_landmarks: int | None, **options: Any) -> LoopClosureGate:

@@ -214,11 +214,16 @@ class LoopClosureGate:
             k = max((revisit_of[tie] for tie in own), key=lambda k: len(weights[k].ties))
             against = [contradicted[tie] for tie in own if tie in contradicted]
             keys = reference.pose_graph.keys[np.unique(settled.model.ties.pairs[own])].tolist()
-            decision = self._decision(terms[k], against, is_tied=bool(active[own].all()))
-            decision = replace(decision, keys=tuple(keys), judged_with=len(weights[k].ties))
-            if scores is not None:
-                decision = replace(decision, score=scores[k][0], global_score=scores[k][1])
-            decisions.append(decision)
+            score, global_score = (None, None) if scores is None else scores[k]
+            decisions.append(
+                replace(
+                    self._decision(terms[k], against, is_tied=bool(active[own].all())),
+                    keys=tuple(keys),
+                    judged_with=len(weights[k].ties),
+                    score=score,
+                    global_score=global_score,
+                )
+            )
         return Judgement(decisions=tuple(decisions), settled=settled)
 
     def foreseen(

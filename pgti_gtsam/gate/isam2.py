@@ -15,7 +15,7 @@ from pgti_gtsam import outputs
 from pgti_gtsam.adapter import check_radii
 from pgti_gtsam.adapter.values import read_keyframes
 from pgti_gtsam.checks import in_a_line, shown
-from pgti_gtsam.errors import InvalidClosureError, InvalidOptionError, MissingValueError, UnsolvableGraphError
+from pgti_gtsam.errors import InvalidClosureError, InvalidOptionError, UnsolvableGraphError
 from pgti_gtsam.factor_graphs import (
     Closure,
     check_map,
@@ -29,7 +29,7 @@ from pgti_gtsam.factor_graphs import (
 from pgti_gtsam.gate.decision import ClosureDecision
 from pgti_gtsam.gate.gate import Judgement, LoopClosureGate
 from pgti_gtsam.gate.history import GatedUpdate, Offer, Review, made_anew
-from pgti_gtsam.gate.kept_map import KeptMap, News
+from pgti_gtsam.gate.kept_map import KeptMap, News, check_news
 from pgti_gtsam.gate.revisits import revisits
 from pgti_gtsam.gate.saved import Parts, State, decoded, encoded, read_state
 from pgti_gtsam.gate.ties import free_space_unit
@@ -162,20 +162,25 @@ class GatedISAM2:
         check_map(factors, values)
         if factors.nrFactors() < factors.size():
             factors = graph_of(factors_of(factors))
-        self._check_news(factors, values)
-        grown = self._grown_radii(radii)
-        if not closures:
-            result = self._step(factors, values, options)
-            self.radii = grown
-            self._kept.note(factors, values)
-            if options:
-                self._kept.forget()
-            return GatedUpdate(factor_slots=tuple(result.getNewFactorsIndices()), result=result)
+        news = News(self.smoother, factors, values, self._grown_radii(radii))
+        check_news(news)
+        if closures:
+            return self._updated_with(closures, news, options)
 
+        # one step of the smoother, and nothing to judge
+        result = self._step(factors, values, options)
+        self.radii = news.radii
+        self._kept.note(factors, values)
+        if options:
+            self._kept.forget()
+        return GatedUpdate(factor_slots=tuple(result.getNewFactorsIndices()), result=result)
+
+    def _updated_with(self, closures: Sequence[Closure], news: News, options: Mapping[str, Any]) -> GatedUpdate:
+        """One update with closures: of these, and of those that wait, what passes together."""
         # judge the closures, and those that wait again
         offered = closure_graphs(closures)
         waiting = {number: offer.closure for number, offer in enumerate(self._offers) if offer.is_waiting}
-        judged = self._kept.judged(self.gate, News(self.smoother, factors, values, grown), waiting, offered)
+        judged = self._kept.judged(self.gate, news, waiting, offered)
         changed = {number: decision for number, decision in judged.waiting.items() if decision.verdict != "undecided"}
 
         # one step of the smoother with those that passed
@@ -183,8 +188,8 @@ class GatedISAM2:
         closure_of = waiting | dict(zip(numbers, offered, strict=True))
         verdicts = changed | dict(zip(numbers, judged.decisions, strict=True))
         passed = [number for number, decision in verdicts.items() if decision.accepted]
-        graphs = [factors, *(closure_of[number] for number in passed)]
-        result = self._step(joined(*graphs), values, options)
+        graphs = [news.factors, *(closure_of[number] for number in passed)]
+        result = self._step(joined(*graphs), news.values, options)
         slots = iter(result.getNewFactorsIndices())
         factor_slots, *own = (tuple(islice(slots, graph.size())) for graph in graphs)
 
@@ -195,7 +200,7 @@ class GatedISAM2:
             self._offers[number] = Offer(
                 closure_of[number], slots_of.get(number, ()), is_waiting=decision.verdict == "undecided"
             )
-        self.radii = grown
+        self.radii = news.radii
         self._kept.keep(None if options else judged.map, self.smoother)
         return GatedUpdate(
             decisions=judged.decisions,
@@ -281,22 +286,6 @@ class GatedISAM2:
         if not isinstance(review, Review):
             raise InvalidOptionError(f"expected what review() returned, got {shown(review)}")
         self._replace(review.condemned, review.redeemed)
-
-    def _check_news(self, factors: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> None:
-        """Refuse what iSAM2 would stumble over."""
-        has, new = self.smoother.valueExists, set(values.keys())
-        known = next(filter(has, new), None)
-        if known is not None:
-            raise InvalidOptionError(
-                f"expected values of new variables only, got one for {gtsam.DefaultKeyFormatter(known)}, which the "
-                "smoother has; leave it out"
-            )
-        missing = next((key for key in factors.keyVector() if key not in new and not has(key)), None)
-        if missing is not None:
-            raise MissingValueError(
-                f"expected a value for every key, got none for {gtsam.DefaultKeyFormatter(missing)}; "
-                "add it to the values or leave its factors out"
-            )
 
     def _grown_radii(self, radii: Mapping[int, float] | None) -> Radii | None:
         if radii is None:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import gtsam
 import numpy as np
 
-from pgti_gtsam.errors import UnsolvableGraphError
+from pgti_gtsam.errors import InvalidOptionError, MissingValueError, UnsolvableGraphError
 from pgti_gtsam.factor_graphs import checked_closure, factors_of, joined, keys_of
 from pgti_gtsam.gate.decision import ClosureDecision
 from pgti_gtsam.gate.gate import LoopClosureGate
@@ -24,6 +24,23 @@ class News(NamedTuple):
     factors: gtsam.NonlinearFactorGraph
     values: gtsam.Values
     radii: Radii | None
+
+
+def check_news(news: News) -> None:
+    """Refuse what iSAM2 would stumble over."""
+    has, new = news.smoother.valueExists, set(news.values.keys())
+    known = next(filter(has, new), None)
+    if known is not None:
+        raise InvalidOptionError(
+            f"expected values of new variables only, got one for {gtsam.DefaultKeyFormatter(known)}, which the "
+            "smoother has; leave it out"
+        )
+    missing = next((key for key in news.factors.keyVector() if key not in new and not has(key)), None)
+    if missing is not None:
+        raise MissingValueError(
+            f"expected a value for every key, got none for {gtsam.DefaultKeyFormatter(missing)}; "
+            "add it to the values or leave its factors out"
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
