@@ -215,8 +215,12 @@ def assess(
     if not isinstance(pose_graph, PoseGraph):
         raise InvalidGraphError(f"expected a PoseGraph, got {shown(pose_graph)}; from_gtsam makes one")
     checked_measure(beta, n_times, norm)
+
+    # the graphs, and how heat spreads on each (sections 5.1 and 3.3)
     support: SupportGraph = support_graph(pose_graph)
     kernel_p, kernel_e, kernel_m = _kernels(pose_graph, support, method, tolerance)
+
+    # what differs (section 5.2)
     whole, fusion, collisions = (
         _distortion(before, after, n_times=n_times, norm=norm, beta=beta)
         for before, after in ((kernel_p, kernel_m), (kernel_p, kernel_e), (kernel_e, kernel_m))

@@ -82,14 +82,20 @@ def best_revisits(pose_graph: PoseGraph, count: int = 10, *, n_times: int = 100,
     ties, n = support.inserted_edges, len(pose_graph)
     if not len(ties):
         return []
+
+    # what they are measured by
     before, after = heat_kernels(n, pose_graph.edges, support.merged_edges)
     target = _Target.of(before, after, n_times, norm)
+
+    # the best ones; between parts of a map each by itself
     n_parts, labels = connected_components(n, pose_graph.edges)
     if n_parts > 1:
         joining = ties[labels[ties[:, 0]] != labels[ties[:, 1]]]
         ranked = _tried(pose_graph, joining, target, count)
     else:
         ranked = _searched(OneMoreEdge.of(n, pose_graph.edges, target.times, TOLERANCE), ties, target, count)
+
+    # those that help
     score_before = float(target.scores.max())
     return [
         NewTie(

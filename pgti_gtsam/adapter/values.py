@@ -95,6 +95,8 @@ def read_keyframes(values: gtsam.Values) -> Keyframes:
             f"expected poses among the values, got {values.size()} values of which none is a pose; "
             "pass the values that belong to the factor graph"
         )
+
+    # where each has its centre
     positions, is_finite = np.zeros((len(keys), 3)), np.ones(len(keys), dtype=bool)
     n_3d, n_plain = len(keys_3d), len(keys_3d) + len(keys_2d)
     if keys_3d:
@@ -107,6 +109,8 @@ def read_keyframes(values: gtsam.Values) -> Keyframes:
         centre = pose.translation()
         positions[row, : len(centre)] = centre
         is_finite[row] = np.isfinite(pose.matrix()).all()
+
+    # in the order of their keys
     order = np.argsort(keys)
     keys, positions = keys[order], positions[order]
     _check_finite(keys, positions, is_finite[order])

@@ -119,6 +119,8 @@ def _print_fleet(document: Mapping[str, Any], console: Terminal) -> None:
     counts = Counter(row["verdict"] for row in rows)
     told = ", ".join(f"{counts[verdict]} {verdict}" for verdict in reversed(GRAVITY) if counts[verdict])
     console.print(f"{len(document['maps'])} maps: {told or 'no verdict'}, {len(failed)} failed", style="bold")
+
+    # the ranking
     table = Table(box=None, pad_edge=False)
     for column in ("map", "verdict"):
         table.add_column(column)
@@ -137,6 +139,8 @@ def _print_fleet(document: Mapping[str, Any], console: Terminal) -> None:
         )
     if rows:
         console.print(table)
+
+    # what has no verdict, and what is no map
     for row in failed:
         console.print(visible(f"{row['map']}: {row['failed']}"), markup=False, soft_wrap=True)
     for note in document["input"]["notes"]:

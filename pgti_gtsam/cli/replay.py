@@ -74,12 +74,16 @@ def replay(
             path=json,
             progress=lambda done, of: tell("measuring", done, of),
         )
+
+        # write what was asked for
         document = replay_document(found, name=dataset.title, file_format=dataset.format, notes=dataset.notes)
         with outputs.together():
             if html is not None:
                 write_replay_page(document, html)
             if png is not None:
                 write_replay_png(document, png)
+
+    # show it
     console = terminal()
     _print(document, console)
     print_paths({"JSON lines": json, "page": html, "picture": png}, console)
@@ -90,6 +94,8 @@ def _print(document: Mapping[str, Any], console: Console) -> None:
     moments, table = document["moments"], Table(box=None, pad_edge=False, header_style="dim", padding=(0, 2, 0, 0))
     for name in ("metric", "at the end", "largest", "with keyframes", "lag", "correlation", "without lag"):
         table.add_column(name, justify="left" if name == "metric" else "right")
+
+    # each metric
     for field, row in zip(METRICS, document["lags"], strict=True):
         curve = [float("inf") if value == "infinite" else value for value in moments[field]]
         peak = max(range(len(curve)), key=curve.__getitem__)
@@ -97,6 +103,8 @@ def _print(document: Mapping[str, Any], console: Console) -> None:
         (end, top), (best, at_once) = (["–" if x is None else f"{x:.3g}" for x in pair] for pair in numbers)
         lag = "–" if row["lag"] is None else str(row["lag"])
         table.add_row(row["metric"], end, top, str(moments["n_keyframes"][peak]), lag, best, at_once)
+
+    # what grew
     inserted = sum(new > 0 for new in moments["n_new"])
     console.print(Text.assemble((document["input"]["name"], "bold"), f", {moments['n_keyframes'][-1]} keyframes"))
     counts = f"{moments['n_inserted'][-1]} inserted edges, {moments['n_collisions'][-1]} of them collisions"

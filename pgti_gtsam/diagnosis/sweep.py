@@ -49,25 +49,15 @@ def radius_sweep(
     pose_graph = diagnosis.pose_graph
     adapted, keys = pose_graph.adaptation, pose_graph.keys.tolist()
     edges, shared = (None, None) if adapted is None else (tuple(adapted.edges), adapted.min_shared_landmarks)
-    found = []
-    for factor in FACTORS:
+    found = [Swept(factor=1.0, diagnosis=diagnosis)]
+
+    # the same with other radii
+    for factor in (factor for factor in FACTORS if factor != 1.0):
         progress(f"radii times {factor:g}")
-        found.append(
-            Swept(
-                factor=factor,
-                diagnosis=diagnosis
-                if factor == 1.0
-                else diagnose(
-                    graph,
-                    values,
-                    radii=dict(zip(keys, (factor * pose_graph.radii).tolist(), strict=True)),
-                    edges=edges,
-                    min_shared_landmarks=shared,
-                    closures=closures,
-                ),
-            )
-        )
-    return found
+        radii = dict(zip(keys, (factor * pose_graph.radii).tolist(), strict=True))
+        other = diagnose(graph, values, radii=radii, edges=edges, min_shared_landmarks=shared, closures=closures)
+        found.append(Swept(factor=factor, diagnosis=other))
+    return sorted(found, key=lambda each: each.factor)
 
 
 def fragile(verdicts: dict[float, Level]) -> bool:

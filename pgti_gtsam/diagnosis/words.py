@@ -48,6 +48,8 @@ def place_words(place: Place, labels: Sequence[str]) -> tuple[str, str]:
             "Ignore: all of it follows from ties that the map has.",
         ),
     }
+
+    # where nothing predicts, nothing but a match tells
     if place.kind == "undecided contact" and not np.isfinite(place.allowance_m):
         return (
             f"{later} touches {earlier}, but no chain of ties leads from one to the other.",

@@ -151,6 +151,8 @@ def study(
     free = normal_equations(body), normal_equations(in_space(body))
     added = grounds(body)
     equations = normal_equations(grounded(body, added))
+
+    # where the flow ends, and how fast
     stage("steady state")
     flow = heat_flow(equations)
     slowest, fastest = extreme_eigenvalues(equations)
@@ -160,6 +162,8 @@ def study(
             "the factors' information is so far apart that rounding hides the slowest"
         )
     times = time_grid(slowest, fastest)
+
+    # the flow, and what is compared with it
     stage("heat flow")
     states = flow.at(times)
     stage("optimisers")
@@ -168,6 +172,8 @@ def study(
     spreads = _spreads(free, times)
     stage("the scalar Laplacian as a proxy")
     proxies = compare(free[0]), compare(free[1])
+
+    # all of it
     shifted = states.reshape(len(times), -1, body.dimension)
     return Study(
         body=body,

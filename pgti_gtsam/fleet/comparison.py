@@ -68,6 +68,8 @@ def compare(old: Document, new: Document) -> Comparison:
             f"expected two audits of one map, got {old['input']['name']} and {new['input']['name']}, "
             "which have no keyframe in common"
         )
+
+    # places by kind and stretches, closures by name
     places = [
         [(place["kind"], *_stretches(place, document)) for place in document["places"]] for document in (old, new)
     ]
@@ -75,6 +77,8 @@ def compare(old: Document, new: Document) -> Comparison:
         {_named(closure, document): closure["probability"] for closure in document["closures"]}
         for document in (old, new)
     ]
+
+    # what changed
     moved = [
         (name, before, after)
         for name, before in probabilities[0].items()

@@ -68,6 +68,8 @@ def audited(job: AuditJob) -> Row:
     document, page = stem.with_name(stem.name + ".json"), stem.with_name(stem.name + ".html")
     command = [sys.executable, "-m", "pgti_gtsam.cli.limited", str(round(job.limit_mb * MEGABYTE)), "audit", job.map]
     command += [*job.words, "--json", str(document), "--html", str(page)]
+
+    # a process of its own
     started = time.monotonic()
     row: Row = {"key": job.key, "map": job.map}
     limits = {"limit_s": job.limit_s, "limit_mb": job.limit_mb}
@@ -82,6 +84,8 @@ def audited(job: AuditJob) -> Row:
         )
     except subprocess.TimeoutExpired:
         return row | limits | {"failed": f"no verdict after {job.limit_s:g} s"}
+
+    # what became of it
     row["seconds"] = round(time.monotonic() - started, 3)
     if done.returncode:
         return row | limits | {"failed": _why(done.returncode, done.stderr, job.limit_mb)}
@@ -94,6 +98,8 @@ def summarised(document: Mapping[str, Any]) -> Row:
     closures = [closure for closure in document["closures"] if closure["probability"] is not None]
     places, labels = [place["kind"] for place in document["places"]], document["keyframes"]["label"]
     least = min(closures, key=lambda closure: closure["log_odds"], default=None)
+
+    # a picture of the way
     positions = np.array(document["keyframes"]["position"])
     some = np.unique(np.linspace(0, len(positions) - 1, min(WAY_POINTS, len(positions))).astype(np.int64))
     return {

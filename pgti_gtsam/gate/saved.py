@@ -54,6 +54,8 @@ def encoded(parts: Parts) -> State:
         {"factors": _placed(offer, graph, apart), "slots": list(offer.slots), "is_waiting": offer.is_waiting}
         for offer in parts.offers
     ]
+
+    # all of it
     return {
         "schema": SCHEMA,
         "schema_version": VERSION,

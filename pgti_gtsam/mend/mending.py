@@ -160,6 +160,8 @@ class _Mending:
         unseen = [key for key in wanted.keys if key not in submaps.clouds]
         if unseen:
             return _untried(wanted, f"There is no scan or cloud of {key_label(unseen[0])}.", self.round)
+
+        # align what both saw, and ask what the sensors say of it
         unit, ends = submaps.unit_m, (submaps.at(wanted.keyframes[0]), submaps.at(wanted.keyframes[1]))
         first, second = (Cloud.of(submap, unit) for submap in ends)
         found = align(first, second, wanted.pose, wanted.covariance)

@@ -55,15 +55,20 @@ def sensors_say(wanted: Wanted, alignment: Alignment | None, unit_m: float) -> t
     if alignment is None:
         return "undecided", "Nothing in the two clouds lies near enough to match."
     view, rival = alignment.view, alignment.rival
+
+    # what each says of the other's points
     seen = f"{100 * view.seen:.0f} % of the points are seen by both"
+    through = (
+        f"The best fit puts {100 * (1 - view.agreement):.0f} % of the points where the other keyframe saw free space."
+    )
     if view.agreement < CONTRADICTS:
-        through = 100 * (1 - view.agreement)
-        return "refused", f"The best fit puts {through:.0f} % of the points where the other keyframe saw free space."
+        return "refused", through
     if view.seen < SEEN:
         return "undecided", f"The two have little in view in common: {seen}."
     if view.agreement < AGREES:
-        through = 100 * (1 - view.agreement)
-        return "undecided", f"The best fit puts {through:.0f} % of the points where the other keyframe saw free space."
+        return "undecided", through
+
+    # whether the fit is the only one, and where the drift lets it be
     if rival is not None and rival.agreement >= AGREES and rival.seen > RIVAL * view.seen:
         return "undecided", f"A fit elsewhere is as good: {seen} here, {100 * rival.seen:.0f} % there."
     moved_m, is_beyond = _off(wanted, alignment, unit_m)

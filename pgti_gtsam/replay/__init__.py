@@ -109,6 +109,8 @@ def replay(
     whole(every, "every", least=1)
     if not isinstance(measure, Measure | None) or not isinstance(path, str | Path | None):
         raise InvalidOptionError(f"expected a Measure and a path, got {shown(measure)} and {shown(path)}")
+
+    # one graph, grown; or a record of graphs
     how, file = measure or Measure(), None if path is None else Path(path)
     if not isinstance(graph, Sequence):
         pose_graph = from_gtsam(graph, values, **options)

@@ -39,6 +39,8 @@ def parse(source: Source) -> Dataset:
     if missing := len(poses) - len(radii):
         file.notes.append(f"{missing} poses have no scan with a valid range and so no radius")
     note_ignored(file, TAGS)
+
+    # edges behind the comment are loops
     first = next((line.number for line in file.comments if line.text == LOOPS), None)
     dataset = assemble(
         file,

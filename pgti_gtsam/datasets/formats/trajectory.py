@@ -90,6 +90,8 @@ def _loops(path: Path, poses: Sequence[gtsam.Pose3], times: NDArray[np.float64],
     table = file.rows(ids=0, widths=[2, 2 + 3, 2 + 7, 2 + 12])
     ends = _indices(file, table, times)
     width = table.numbers.shape[1] - 2
+
+    # what they measure
     measured: Sequence[gtsam.Pose3]
     if width == 0:
         notes.append("loops bring no pose: they measure what the trajectory says")
