@@ -2,6 +2,7 @@
 
 import json
 import re
+from html import escape
 from pathlib import Path
 
 import gtsam
@@ -179,6 +180,27 @@ def test_an_archived_graph_is_gated_and_everything_else_stays_as_it_was(run, arc
     optimum = gtsam.LevenbergMarquardtOptimizer(gated, best).optimize()
     assert gated.error(best) <= 1.01 * gated.error(optimum) + 1e-9
     assert ((tmp_path / "graph.txt").read_bytes(), (tmp_path / "values.txt").read_bytes()) == before
+
+
+def test_an_xml_archive_comes_back_as_a_text_archive_and_that_is_said(run, archives, tmp_path):
+    graph, _, slots = archives
+    tokens = (tmp_path / "graph.txt").read_text().split()
+    items = "".join(f"<item>{escape(token)}</item>" for token in tokens[3:])
+    head = f'<boost_serialization signature="serialization::archive" version="{tokens[2]}">'
+    xml = tmp_path / "graph.xml"
+    xml.write_text(
+        f'<?xml version="1.0"?><!DOCTYPE boost_serialization>{head}<data>{items}</data></boost_serialization>'
+    )
+    out, values = tmp_path / "gated.xml", tmp_path / "values.txt"
+    code, said, _ = run("gate", xml, "--values", values, "--radius", RADIUS, "--out", out)
+    assert code == 0
+    assert "as a text archive" in said
+    gated = gtsam.NonlinearFactorGraph()
+    gated.deserialize(out.read_text())
+    assert gated.size() == graph.size()
+    assert [slot for slot in range(gated.size()) if gated.at(slot) is None] == [
+        slot for slot, ends in slots.items() if ends in FALSE
+    ]
 
 
 def test_a_finished_map_has_its_closures_judged_least_probable_first(run, world, tmp_path):
