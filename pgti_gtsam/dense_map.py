@@ -1,4 +1,4 @@
-"""Radii from dense maps, point clouds and meshes, by Open3D, which is imported when a function is called."""
+"""Radii from dense maps, point clouds and meshes, by Open3D, imported when a function is called."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def radii_from_cloud(positions: ArrayLike, cloud_path: Path | str) -> FloatArray
     InvalidValueError
         The positions have another shape or are not finite.
     MissingDependencyError
-        Open3D or a library of it is missing.
+        Open3D or a system library is missing.
     """
     queries = np.asarray(positions, dtype=np.float64)
     if queries.ndim != 2 or queries.shape[1] != 3 or not np.isfinite(queries).all():
@@ -82,7 +82,7 @@ def _distances_to_triangles(open3d: Any, queries: FloatArray, vertices: FloatArr
 
 
 def load_open3d() -> Any:
-    """Import Open3D, which fails with ImportError or OSError where a system library is missing."""
+    """Import Open3D; raises ImportError or OSError where a system library is missing."""
     try:
         import open3d
     except (ImportError, OSError) as error:

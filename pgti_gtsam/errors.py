@@ -1,4 +1,4 @@
-"""Errors of the package: one class per cause, each message saying what to do next."""
+"""Errors of the package: a class per cause, each message saying what to do next."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ class PgtiError(Exception):
 
 
 class FileFormatError(PgtiError):
-    """A file cannot be read as what it was taken for.
+    """A file cannot be read in the expected format.
 
     Parameters
     ----------
     path : Path or str
         The file.
     message : str
-        What was expected and what came.
+        The expectation and the finding.
     line : int, optional
         Line number, counted from 1.
     """
@@ -56,7 +56,7 @@ class InvalidOptionError(PgtiError):
 
 
 class OutputError(PgtiError):
-    """A file cannot be written; the old one, if there is one, stays."""
+    """A file cannot be written; an older file of the name, if any, stays."""
 
 
 class MissingDependencyError(PgtiError):
@@ -64,8 +64,8 @@ class MissingDependencyError(PgtiError):
 
 
 class InvalidClosureError(PgtiError):
-    """A closure holds no factor, or one that cannot be tried on the map as it stands."""
+    """A closure holds no factor, or a factor that cannot be tried on the present map."""
 
 
 class UnsolvableGraphError(PgtiError):
-    """A factor graph has no optimum that can be found: it is singular, or its error is not finite."""
+    """A factor graph without an optimum that can be found: the graph is singular, or its error is not finite."""

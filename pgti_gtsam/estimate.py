@@ -1,4 +1,4 @@
-"""The optimum of a factor graph, and whether an estimate is one, as scores of a map assume."""
+"""The optimum of a factor graph, and whether an estimate is at the optimum, as scores of a map assume."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ FAR = 0.25
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Convergence:
-    """How far one step of Levenberg-Marquardt leads from an estimate.
+    """How far a step of Levenberg-Marquardt leads from an estimate.
 
     Attributes
     ----------
@@ -45,7 +45,13 @@ class Convergence:
 
 
 def convergence(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> Convergence:
-    """Try one step. Graph and values stay untouched; parts that nothing holds are held where they are.
+    """Try a step. Graph and values stay untouched; parts without a prior are held where they are.
+
+    Parameters
+    ----------
+    graph : gtsam.NonlinearFactorGraph
+    values : gtsam.Values
+        An estimate of all variables.
 
     Raises
     ------
@@ -77,7 +83,7 @@ def optimised(
     ----------
     graph, values
     held : gtsam.NonlinearFactorGraph, optional
-        Priors that hold it in place, where they are known: those of `anchors`.
+        Priors that fix the map in space, where known: those of `anchors`.
     max_iterations : int
     tolerance : float
         Relative decrease of the error at which to stop; GTSAM's own default.
@@ -103,7 +109,13 @@ def optimised(
 def anchors(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam.NonlinearFactorGraph:
     """A prior at its present value for the first pose of every component that no unary factor holds.
 
-    Without one the optimum is free to move as a whole. The prior pulls at nothing: its residual stays zero.
+    Without a prior the optimum is free to move as a whole. The prior pulls at nothing: its residual stays zero.
+
+    Parameters
+    ----------
+    graph : gtsam.NonlinearFactorGraph
+    values : gtsam.Values
+        An estimate of all variables.
     """
     factors = factors_of(graph)
     keys = sorted(values.keys())

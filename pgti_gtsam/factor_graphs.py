@@ -19,7 +19,7 @@ BETWEEN = (gtsam.BetweenFactorPose2, gtsam.BetweenFactorPose3)
 def joined(*graphs: gtsam.NonlinearFactorGraph) -> gtsam.NonlinearFactorGraph:
     """New graph of the same factors, slot behind slot.
 
-    The factors are shared, not cloned: those of smart landmarks cannot be, and none is changed here.
+    The factors are shared, not cloned: smart factors cannot be cloned, and no factor is changed here.
     """
     together = gtsam.NonlinearFactorGraph()
     for graph in graphs:
@@ -47,7 +47,14 @@ def factors_of(graph: gtsam.NonlinearFactorGraph) -> list[Any]:
 
 
 def without(graph: gtsam.NonlinearFactorGraph, slots: Iterable[int]) -> gtsam.NonlinearFactorGraph:
-    """The same factors in the same slots; the given slots are empty."""
+    """The same factors in the same slots; the given slots are empty.
+
+    Parameters
+    ----------
+    graph : gtsam.NonlinearFactorGraph
+    slots : iterable of int
+        Slots to empty.
+    """
     fewer = gtsam.NonlinearFactorGraph(graph)
     for slot in slots:
         fewer.remove(slot)
@@ -60,13 +67,29 @@ def keys_of(factor: Any) -> list[int]:
 
 
 def between_factor(first: int, second: int, measured: gtsam.Pose2 | gtsam.Pose3, model: Any) -> Any:
-    """The between factor of a relative pose of either type."""
+    """The between factor of a relative pose of either type.
+
+    Parameters
+    ----------
+    first, second : int
+        Keys.
+    measured : gtsam.Pose2 or gtsam.Pose3
+        The second pose seen from the first.
+    model : gtsam.noiseModel.Base
+    """
     make: Any = gtsam.BetweenFactorPose2 if isinstance(measured, gtsam.Pose2) else gtsam.BetweenFactorPose3
     return make(first, second, measured, model)
 
 
 def measured_from(factor: Any, first: int) -> Any | None:
-    """Relative pose that a factor of two keys measures from its key `first` to the other.
+    """Relative pose that a factor of two keys measures from its key `first` to the other key.
+
+    Parameters
+    ----------
+    factor : gtsam.NonlinearFactor
+        A factor of two keys.
+    first : int
+        The key from which the pose is seen.
 
     Returns
     -------
@@ -84,7 +107,7 @@ def closure_graph(closure: Closure) -> gtsam.NonlinearFactorGraph:
 
     Parameters
     ----------
-    closure : gtsam.NonlinearFactor, sequence of them, or gtsam.NonlinearFactorGraph
+    closure : gtsam.NonlinearFactor, sequence of gtsam.NonlinearFactor, or gtsam.NonlinearFactorGraph
 
     Raises
     ------
@@ -116,7 +139,7 @@ def closure_graphs(closures: Sequence[Closure]) -> list[gtsam.NonlinearFactorGra
     Raises
     ------
     InvalidClosureError
-        Those of `closure_graph`, and one closure where a list of them belongs.
+        As of `closure_graph`, and a single closure where a list belongs.
     """
     if isinstance(closures, gtsam.NonlinearFactorGraph | gtsam.NonlinearFactor | str) or not hasattr(
         closures, "__iter__"
@@ -138,7 +161,7 @@ def checked_closure(closure: Closure, values: gtsam.Values) -> gtsam.NonlinearFa
     Raises
     ------
     InvalidClosureError
-        Those of `closure_graph`; a key without a value; a value of another type than the factor asks for; a
+        As of `closure_graph`; a key without a value; a value of another type than the factor asks for; a
         measurement that is not finite.
     """
     checked = closure_graph(closure)
@@ -158,7 +181,12 @@ def checked_closure(closure: Closure, values: gtsam.Values) -> gtsam.NonlinearFa
 
 
 def check_map(graph: Any, values: Any) -> None:
-    """Refuse what is no factor graph, or no values.
+    """Refuse anything but a factor graph with values.
+
+    Parameters
+    ----------
+    graph : object
+    values : object
 
     Raises
     ------
@@ -171,7 +199,7 @@ def check_map(graph: Any, values: Any) -> None:
 
 
 def _error(factor: Any, values: gtsam.Values) -> float:
-    """Error of a factor at some values, which must be of the types that it asks for."""
+    """Error of a factor at given values, which must be of the types that the factor asks for."""
     try:
         return float(factor.error(values))
     except (RuntimeError, ValueError) as error:

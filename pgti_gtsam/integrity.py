@@ -54,13 +54,13 @@ class BetaSplit:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Distortion:
-    """How differently heat spreads on two graphs, of which the second has all edges of the first. Arrays are read-only.
+    """How differently heat spreads on two graphs; the second has all edges of the first. Arrays are read-only.
 
     Attributes
     ----------
     keyframe_scores : (n,) float
         Z: ζ of every keyframe (Eq. 17). Zero where both graphs agree; infinite at a keyframe without any
-        edge in the first graph that has one in the second, for all its change is infinite.
+        edge in the first graph and an edge in the second, since the change is infinite.
     stable_scores : (n,) float
         Score that does not shrink as the map grows: see `stable_scores`.
     times : (n_times,) float
@@ -74,7 +74,7 @@ class Distortion:
     n_components_pose_graph, n_components_merged_graph : int
         Connected components of the first and of the second graph.
     error_estimate : float
-        Estimated error of the signatures relative to the largest one; zero where they come from a
+        Estimated error of the signatures relative to the largest signature; zero where the signatures come from a
         dense eigendecomposition.
     """
 
@@ -121,7 +121,7 @@ class Distortion:
         Parameters
         ----------
         beta : float, optional
-            Share of the time grid that is local, in (0, 1); the one given to `assess` when left out.
+            Share of the time grid that is local, in (0, 1); the share given to `assess` when left out.
 
         Raises
         ------
@@ -144,17 +144,17 @@ class Distortion:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Integrity(Distortion):
-    """What `assess` found: the pose graph G_p against the merged graph G_m, and the same in two steps.
+    """The result of `assess`: the pose graph G_p against the merged graph G_m, and the same in two steps.
 
     Attributes
     ----------
     free_space_edges, inserted_edges, merged_edges : (k, 2) int
         E_f, E_m \\ E_p and E_m.
     fusion_edges, collision_edges : (k, 2) int
-        The inserted edges in two: overlaps that follow from the edges of G_p, and those that nothing explains (see
-        `support_graph.explained_overlaps`).
+        The inserted edges in two sets: overlaps that follow from the edges of G_p, and overlaps that nothing explains
+        (see `support_graph.explained_overlaps`).
     fusion : Distortion
-        G_p against the explained graph G_e: incomplete loop fusion, which is mostly harmless.
+        G_p against the explained graph G_e: incomplete loop fusion, mostly harmless.
     collisions : Distortion
         G_e against G_m: places in contact that no chain of overlaps joins. Zero on a map without any.
     optimality : OptimalityComparison
@@ -193,14 +193,14 @@ def assess(
         p of Eq. 17.
     method : {"auto", "dense", "poles"}
         Dense eigendecomposition, or resolvents of sparse factorisations in nearly linear time; "auto"
-        takes the faster one.
+        takes the faster solver.
     tolerance : float
         Error relative to the largest signature that "poles" may make, from 1e-11 to 1e-2.
 
     Returns
     -------
     Integrity
-        A single keyframe, or one that both graphs leave isolated, scores zero.
+        A single keyframe, or a keyframe that both graphs leave isolated, scores zero.
 
     Raises
     ------
@@ -241,7 +241,7 @@ def assess(
 def _kernels(
     pose_graph: PoseGraph, support: SupportGraph, method: Method, tolerance: float
 ) -> tuple[HeatKernel, HeatKernel, HeatKernel]:
-    """Heat kernels of G_p, G_e and G_m; graphs that are the same share theirs."""
+    """Heat kernels of G_p, G_e and G_m; equal graphs share a kernel."""
     edge_lists = [pose_graph.edges, support.merged_edges]
     if len(support.fusion_edges) and len(support.collision_edges):
         edge_lists.insert(1, support.explained_edges)
@@ -252,7 +252,7 @@ def _kernels(
 
 
 def _distortion(before: HeatKernel, after: HeatKernel, *, n_times: int, norm: int, beta: float) -> Distortion:
-    """One graph against another, on the time grid of the second."""
+    """A graph against a graph with more edges, on the time grid of the second."""
     times = time_grid(after, n_times)
     signatures_p, signatures_m = before.signatures(times), after.signatures(times)
     return Distortion(
@@ -270,7 +270,15 @@ def _distortion(before: HeatKernel, after: HeatKernel, *, n_times: int, norm: in
 
 
 def scores(before: HeatKernel, after: HeatKernel, *, beta: float) -> tuple[float, float]:
-    """Λ and Λ_glob of two graphs alone, as `assess` has them with the paper's number of times and norm."""
+    """Λ and Λ_glob of two graphs alone, as `assess` has them with the paper's number of times and norm.
+
+    Parameters
+    ----------
+    before, after : HeatKernel
+        Heat kernels of the two graphs.
+    beta : float
+        Share of the times that is local.
+    """
     times = time_grid(after, N_TIMES)
     first, second = before.signatures(times), after.signatures(times)
     zeta = relative_distortion(first, second, NORM)
@@ -289,6 +297,11 @@ def time_grid(kernel: HeatKernel, n_times: int) -> NDArray[np.float64]:
     """Logarithmic times from 4 ln 10 / λ_max to 4 ln 10 / λ_2 (section 5.2), of the merged graph.
 
     λ_2 is the smallest positive eigenvalue where the graph is disconnected.
+
+    Parameters
+    ----------
+    kernel : HeatKernel
+    n_times : int
     """
     span = 4 * np.log(10)
     return np.geomspace(span / kernel.largest, span / kernel.smallest_positive, n_times)
@@ -300,6 +313,12 @@ def relative_distortion(
     """ζ_i = ‖Ψ_i(G_p) − Ψ_i(G_m)‖_p / ‖Ψ_i(G_p)‖_p (Eq. 17), (n,).
 
     Where the pose graph's signature vanishes, ζ is zero if the other does too, else infinite.
+
+    Parameters
+    ----------
+    signatures_p, signatures_m : (n, n_times) float
+    norm : int
+        The p of the p-norm.
     """
     change = np.linalg.norm(signatures_p - signatures_m, ord=norm, axis=1)
     size = np.linalg.norm(signatures_p, ord=norm, axis=1)
@@ -313,11 +332,17 @@ def stable_scores(
 
     σ_i = √ mean_t ((K_ii^p(t) − K_ii^m(t)) / K_ii^p(t))², over fixed times and with the heat kernel itself: no
     division by the trace, no time that depends on the map's extent, and the zero mode kept, so that
-    K_ii is at least one over the size of the map and nothing is divided by zero. In a time t heat
-    comes from a few √t hops around, so what lies farther changes σ_i by less than the Gaussian tail of
-    that walk: a defect keeps its score whatever is built onto the other end of the map.
-    It answers the open question of the paper's section 7, but for one change: an end of the track throws heat back, and
-    where a map grows at an end within some sixty keyframes of the defect, σ_i moves once, by a third or so, and stays.
+    K_ii is at least 1 over the size of the map and nothing is divided by zero. In a time t heat
+    comes from a few √t hops around, so parts of the map farther away change σ_i by less than the Gaussian tail of
+    that walk: a defect keeps its score however the other end of the map is extended.
+    The score answers the open question of the paper's section 7, with an exception: an end of the track reflects heat,
+    and where a map grows at an end within some sixty keyframes of the defect, σ_i moves once, by a third or so, and
+    stays.
+
+    Parameters
+    ----------
+    kernel_p, kernel_m : HeatKernel
+    times : (n_times,) float, optional
     """
     before, after = kernel_p.diagonals(times), kernel_m.diagonals(times)
     scores: NDArray[np.float64] = np.sqrt(np.mean(((before - after) / before) ** 2, axis=1))
@@ -325,7 +350,17 @@ def stable_scores(
 
 
 def checked_measure(beta: float, n_times: int, norm: int) -> None:
-    """Refuse options that `assess` cannot measure with; raises InvalidOptionError."""
+    """Refuse options that `assess` cannot measure with; raises InvalidOptionError.
+
+    Parameters
+    ----------
+    beta : float
+        Share of the times that is local, in (0, 1).
+    n_times : int
+        At least 2.
+    norm : int
+        The p of the p-norm.
+    """
     _checked_beta(beta)
     if whole(n_times, "n_times", least=2) > MAX_TIMES:
         raise InvalidOptionError(f"expected n_times up to {MAX_TIMES}, got {n_times}")

@@ -1,4 +1,4 @@
-"""Where to go and look again: which one new tie would lower the integrity score most (section 8 of the paper)."""
+"""Where to look again: the new tie that would lower the integrity score most (section 8 of the paper)."""
 
 from __future__ import annotations
 
@@ -49,26 +49,26 @@ class NewTie:
 def best_revisits(pose_graph: PoseGraph, count: int = 10, *, n_times: int = 100, norm: int = 2) -> list[NewTie]:
     """Rank the ties that a robot could still make by how far each lowers Λ.
 
-    Candidates are the inserted edges: the space connects the two keyframes, so that looking again from there can tie
-    them. The tie joins G_p; the merged graph has the edge already, so that neither its signatures nor the times change.
-    Every candidate costs one sweep over the factors of G_p (a low-rank update), and is bounded from below by what ζ
-    would be at the keyframes that are worst now; candidates are computed in full in the order of their bounds, until
-    enough are better than every bound that is left. The result is that of trying all of them.
+    Candidates are the inserted edges: the space connects the two keyframes, so that a second look can tie
+    them. The tie joins G_p; the merged graph has the edge already, so neither the signatures of G_m nor the times
+    change. Every candidate costs a sweep over the factors of G_p (a low-rank update), and is bounded from below by the
+    ζ of the keyframes that are worst now; candidates are computed in full in the order of their bounds, until
+    enough are better than every remaining bound. The result equals that of trying all candidates.
 
     Parameters
     ----------
     pose_graph : PoseGraph
     count : int
-        Ties wanted. Of ties whose ends lie within `places.WINDOW` keyframes of those of a better tie none is kept:
-        these are the same revisit.
+        Ties wanted. A tie with both ends within `places.WINDOW` keyframes of a better tie is left out:
+        the two are the same revisit.
     n_times, norm : int
         As for `assess`.
 
     Returns
     -------
     list of NewTie
-        Lowest Λ first, and only those that lower it; none where the graph lacks no edge. Where the pose graph falls
-        into parts only ties that join parts are tried, and each by a new factorisation: until the parts are one,
+        Lowest Λ first, and only ties that lower Λ; empty where the graph lacks no edge. Where the pose graph falls
+        into parts only ties that join parts are tried, each by a new factorisation: until the graph is connected,
         nothing else counts.
 
     Raises
@@ -111,7 +111,7 @@ def best_revisits(pose_graph: PoseGraph, count: int = 10, *, n_times: int = 100,
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Target:
-    """The merged graph that a tied pose graph is compared with, and ζ as it is."""
+    """The merged graph against which a tied pose graph is scored, and ζ before any tie."""
 
     times: NDArray[np.float64]
     signatures: NDArray[np.float64]
@@ -126,11 +126,11 @@ class _Target:
         return cls(times=times, signatures=signatures, scores=scores, norm=norm)
 
     def score(self, tied: NDArray[np.float64], vertices: Pairs) -> float:
-        """Largest ζ at some vertices of a graph with these signatures."""
+        """Largest ζ at given vertices of a graph with these signatures."""
         return float(relative_distortion(tied, self.signatures[vertices], self.norm).max())
 
     def witnesses(self) -> Pairs:
-        """The worst keyframes, each apart from the others."""
+        """The worst keyframes, apart from each other."""
         found: list[int] = []
         for vertex in np.argsort(-self.scores, kind="stable").tolist():
             if all(abs(vertex - other) > WINDOW for other in found):
@@ -160,7 +160,7 @@ def _searched(graph: OneMoreEdge, ties: Pairs, target: _Target, count: int) -> l
 
 
 def _tried(pose_graph: PoseGraph, ties: Pairs, target: _Target, count: int) -> list[tuple[float, Pairs]]:
-    """The best ties by factorising the graph with each of them."""
+    """The best ties by factorising the graph with each tie."""
     n, every, found = len(pose_graph), np.arange(len(pose_graph)), []
     for tie in ties:
         (kernel,) = heat_kernels(n, np.concatenate([pose_graph.edges, tie[None]]))

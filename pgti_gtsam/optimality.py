@@ -19,7 +19,7 @@ CRITERIA = ("d", "t", "e", "e_tilde")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Optimality:
-    """Optimality criteria of one graph with n vertices.
+    """Optimality criteria of a graph with n vertices.
 
     Attributes
     ----------
@@ -60,15 +60,15 @@ class GraphOptimality:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OptimalityComparison:
-    """Criteria of the unweighted Laplacians, and of those weighted by the edges' information.
+    """Criteria of the unweighted Laplacians, and of the Laplacians weighted by the edges' information.
 
     Attributes
     ----------
     unweighted : GraphOptimality
     weighted : GraphOptimality, optional
-        Each criterion of the Laplacian whose edges weigh what the same criterion says of their
-        information matrix. Edges without one (covisibility, free space) weigh the median of those
-        that have one. None if no edge has one.
+        Each criterion of the Laplacian whose edge weights are the same criterion of the edges'
+        information matrices. Edges without information (covisibility, free space) weigh the median of the
+        other edges. None if no edge has information.
     """
 
     unweighted: GraphOptimality
@@ -96,16 +96,16 @@ def optimality(
     weights: NDArray[np.float64] | None = None,
     kernel: HeatKernel | None = None,
 ) -> Optimality:
-    """Criteria of one graph.
+    """Criteria of a graph.
 
     Parameters
     ----------
     n_vertices : int
     edges : (m, 2) int
     weights : (m, 4) float, optional
-        Positive weights of every edge for D, T, E and Ẽ in turn; one everywhere when left out.
+        Positive weights of every edge for D, T, E and Ẽ in turn; 1 everywhere when left out.
     kernel : HeatKernel, optional
-        Of the graph without weights, whose spectrum need not be found again.
+        Of the graph without weights, where the kernel is already known.
 
     Returns
     -------
@@ -143,12 +143,12 @@ def information_criteria(information: NDArray[np.float64]) -> NDArray[np.float64
     Parameters
     ----------
     information : (m, d, d) float
-        NaN beyond the leading block of a smaller matrix, and everywhere where there is none.
+        NaN beyond the leading block of a smaller matrix, and everywhere for an edge without a matrix.
 
     Returns
     -------
     (m, 4) float
-        NaN where there is no matrix, or where it is not positive definite.
+        NaN without a matrix, or where the matrix is not positive definite.
     """
     sizes = (~np.isnan(np.einsum("kii->ki", information))).sum(axis=1)
     criteria = np.full((len(information), 4), np.nan)
@@ -166,7 +166,12 @@ def compare_optimality(
 ) -> OptimalityComparison:
     """Criteria of a pose graph and of its merged graph, unweighted and by information.
 
-    `kernels` are those of the two graphs, where they are known.
+    Parameters
+    ----------
+    pose_graph, support
+    kernels : pair of HeatKernel, optional
+        Kernels of the two graphs, where already known.
+
     """
     n = len(pose_graph)
     known = kernels or (None, None)
@@ -200,6 +205,6 @@ def _compare_weighted(
 
 
 def _scaled(plain: Optimality, weights: NDArray[np.float64], n: int) -> Optimality:
-    """Criteria when all edges weigh the same, which scales all n − 1 positive eigenvalues."""
+    """Criteria when all edges weigh the same: the weight scales all n − 1 positive eigenvalues."""
     d, t, e, e_tilde = weights.tolist()
     return Optimality(d=plain.d * d ** ((n - 1) / n), t=plain.t * t, e=plain.e * e, e_tilde=plain.e_tilde * e_tilde)

@@ -1,7 +1,7 @@
-"""Files that are written whole or not at all, and those of one command together.
+"""Files that are written whole or not at all, and the files of a command together.
 
-A file is written beside its name, brought to the disk and renamed: whoever reads the name finds the old file or the
-new one, also when the disk is full or the process is killed meanwhile. A process that is killed while it writes may
+A file is written beside its name, brought to the disk and renamed: a reader of the name finds the old file or the
+new file, also when the disk is full or the process is killed meanwhile. A process that is killed while it writes may
 leave a file ``.pgti-….part`` behind.
 """
 
@@ -32,12 +32,18 @@ _WAITING: ContextVar[list[_Output] | None] = ContextVar("outputs that wait for e
 
 
 def write_text(path: Path | str, text: str) -> None:
-    """Write text as UTF-8; raises what `write_bytes` raises."""
+    """Write text as UTF-8; raises as `write_bytes` does.
+
+    Parameters
+    ----------
+    path : Path or str
+    text : str
+    """
     write_bytes(path, text.encode("utf-8", errors="backslashreplace"))
 
 
 def write_bytes(path: Path | str, data: bytes) -> None:
-    """Write a file whole, or leave what is there.
+    """Write a file whole, or leave the old file.
 
     Symbolic links are followed and stay; an old file's permissions are kept. Devices and pipes are written directly.
 
@@ -66,7 +72,7 @@ def together() -> Iterator[None]:
     Raises
     ------
     OutputError
-        A file cannot be written; the message says which of the others exist.
+        A file cannot be written; the message says which other files exist.
     """
     waiting: list[_Output] = []
     token = _WAITING.set(waiting)
@@ -79,7 +85,7 @@ def together() -> Iterator[None]:
 
 @contextmanager
 def drawn(path: Path | str) -> Iterator[Path]:
-    """A scratch file with the same ending for what only writes to a path; its content goes to ``path`` whole."""
+    """A scratch file with the same ending, for writers that need a path; the content goes to ``path`` whole."""
     with TemporaryDirectory() as folder:
         part = Path(folder) / f"drawn{Path(path).suffix}"
         yield part
@@ -88,7 +94,7 @@ def drawn(path: Path | str) -> Iterator[Path]:
 
 
 def _put(outputs: Sequence[_Output]) -> None:
-    """Write streams first, for what has gone there cannot be taken back; then all files."""
+    """Write streams first, since bytes in a stream cannot be taken back; then all files."""
     written: list[Path] = []
     files: list[_Output] = []
     for output in outputs:
@@ -165,7 +171,7 @@ def _send(output: _Output) -> None:
 
 @contextmanager
 def _named(path: Path, written: Sequence[Path]) -> Iterator[None]:
-    """OSErrors become one line that says which file failed and which exist."""
+    """OSErrors become a line that says which file failed and which exist."""
     try:
         yield
     except OSError as error:
@@ -175,7 +181,7 @@ def _named(path: Path, written: Sequence[Path]) -> Iterator[None]:
 
 @contextmanager
 def _undisturbed() -> Iterator[None]:
-    """SIGINT and SIGTERM wait until the block has ended; in another thread than the main one they are not ours."""
+    """SIGINT and SIGTERM wait until the block has ended; in other threads than the main thread nothing is done."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return

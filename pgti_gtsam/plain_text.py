@@ -9,7 +9,8 @@ _HIDDEN = {"Cc", "Cf", "Cs", "Zl", "Zp"}
 
 
 def visible(text: str) -> str:
-    """Text whose hidden characters are escaped: those move the cursor, colour, or turn the direction of writing.
+    """Text whose hidden characters are escaped: hidden characters move the cursor, colour, or turn the direction of
+    writing.
 
     Parameters
     ----------
@@ -18,7 +19,7 @@ def visible(text: str) -> str:
     Returns
     -------
     str
-        One line of UTF-8; a byte of a file's name that is none stands as ``\\xff``.
+        A line of UTF-8; a byte of a file name that is not UTF-8 stands as ``\\xff``.
     """
     return "".join(
         _escaped(character) if unicodedata.category(character) in _HIDDEN else character for character in text
@@ -51,7 +52,7 @@ _IN_ASCII = {
 
 
 def in_ascii(error: UnicodeError) -> tuple[str, int]:
-    """Handler of codec errors that spells the characters this package prints; others are escaped."""
+    """Handler of codec errors that spells the characters of this package; others are escaped."""
     if not isinstance(error, UnicodeEncodeError):
         raise error
     text = error.object[error.start : error.end]

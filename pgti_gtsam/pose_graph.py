@@ -1,4 +1,4 @@
-"""The pose graph that is assessed: keyframes, edges and radii. It knows nothing of GTSAM."""
+"""The pose graph that is assessed: keyframes, edges and radii. The module knows nothing of GTSAM."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Radii: TypeAlias = float | Mapping[int, float]
 class EdgeSource(enum.IntFlag):
     """Why two keyframes count as connected; an edge may have several reasons.
 
-    `ODOMETRY` marks, beside its reason, an edge that is a step of a track: from a keyframe to the next one. `SKIP`
+    `ODOMETRY` marks, beside its reason, an edge that is a step of a track: from a keyframe to the next. `SKIP`
     marks factors over several steps that the way between explains. See `track`.
     """
 
@@ -35,13 +35,13 @@ class EdgeSource(enum.IntFlag):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Adaptation:
-    """What the adapter made of a factor graph, so that nothing is dropped silently.
+    """How the adapter used a factor graph, so that nothing is dropped silently.
 
     Attributes
     ----------
     used, ignored, unknown : mapping from factor class to count
-        Factors that shaped the pose graph; known ones that say nothing about connectivity or
-        free space; and those of classes the adapter does not know.
+        Factors that shaped the pose graph; known factors that say nothing about connectivity or
+        free space; and factors of classes the adapter does not know.
     empty_slots : int
         Slots whose factor had been removed.
     n_landmarks, n_observations : int
@@ -49,11 +49,11 @@ class Adaptation:
     landmarks_without_position : int
         Landmarks that were seen but could not be placed, such as degenerate triangulations.
     keyframes_without_radius : int
-        Keyframes around which nothing is guaranteed free: their radius is zero.
+        Keyframes around which nothing is guaranteed free: the radius is zero.
     edges : mapping from source to count
-        Pairs connected by "between", "covisibility" and "track", before they are merged.
+        Pairs connected by "between", "covisibility" and "track", before the merge.
     max_shared_landmarks, min_shared_landmarks : int
-        Largest number of landmarks any two keyframes share, and the number that connects them.
+        Largest number of landmarks any two keyframes share, and the number that connects two keyframes.
     """
 
     used: Mapping[str, int]
@@ -81,7 +81,7 @@ class PoseGraph:
         Centres of the keyframes; (n, 2) is accepted and lies in the plane z = 0.
     edges : (m, 2) int
         Indices of connected keyframes, i < j, sorted, unique. Pairs may be given in any order
-        and repeatedly: they are merged, and so is what belongs to them below.
+        and repeatedly: repeated pairs are merged, and likewise the arrays below.
     radii : (n,) float, m
         Distance that is guaranteed free around each keyframe; zero guarantees nothing. A single
         number stands for all.
@@ -91,11 +91,11 @@ class PoseGraph:
         Slots in the factor graph of the between factors of each edge.
     edge_information : (m, d, d) float, optional
         Sum of the information matrices of the between factors of each edge, in the tangent space
-        of its keyframe j; NaN where an edge has none. A block smaller than d has NaN beyond it.
+        of its keyframe j; NaN for an edge without information. A block smaller than d is filled with NaN.
     adaptation : Adaptation, optional
         How the graph came about.
     sightings : Sightings, optional
-        Who sees which landmark; None without landmarks.
+        Sightings of landmarks; None without landmarks.
 
     Raises
     ------
@@ -228,7 +228,7 @@ def _merge_edges(
     information: NDArray[np.float64] | None,
     n: int,
 ) -> tuple[NDArray[np.int64], NDArray[np.uint8], tuple[tuple[int, ...], ...], NDArray[np.float64] | None]:
-    """Sort the pairs, and merge what is known of pairs that occur more than once."""
+    """Sort the pairs, and merge the data of pairs that occur more than once."""
     codes, row = np.unique(codes_of(edges, n), return_inverse=True)
     merged_edges = pairs_of(codes, n)
     merged_sources = np.zeros(len(codes), dtype=np.uint8)

@@ -1,4 +1,4 @@
-"""Who sees which landmark: covisibility edges and minimum-sphere radii follow from it."""
+"""Sightings of landmarks by keyframes, and the covisibility edges and minimum-sphere radii that follow."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class Sightings:
     keyframes, landmarks : (k,) int
         Index of the keyframe and of the landmark of each sighting; a pair may occur repeatedly.
     distances : (k,) float, m
-        Distance from the keyframe's centre to the landmark; NaN where it is not known.
+        Distance from the keyframe's centre to the landmark; NaN where not known.
     landmark_positions : (l, 3) float, m
         NaN where a landmark could not be placed.
     n_keyframes : int
@@ -31,7 +31,7 @@ class Sightings:
     n_keyframes: int
 
     def incidence(self) -> sparse.csr_array:
-        """(n, l) matrix with a one where a keyframe sees a landmark."""
+        """(n, l) matrix with a 1 where a keyframe sees a landmark."""
         shape = (self.n_keyframes, len(self.landmark_positions))
         seen = sparse.coo_array((np.ones(len(self.keyframes)), (self.keyframes, self.landmarks)), shape=shape)
         incidence = seen.tocsr()
@@ -41,6 +41,11 @@ class Sightings:
 
 def covisibility_edges(sightings: Sightings, min_shared_landmarks: int) -> tuple[NDArray[np.int64], int]:
     """Pairs of keyframes that see at least so many landmarks in common.
+
+    Parameters
+    ----------
+    sightings : Sightings
+    min_shared_landmarks : int
 
     Returns
     -------
@@ -60,8 +65,8 @@ def minimum_sphere_radii(
 ) -> NDArray[np.float64]:
     """Radius of the minimum sphere of every keyframe (Eq. 13): distance to its nearest landmark.
 
-    The landmarks of a keyframe are those that it sees and those that the keyframes connected to
-    it see (section 3.1 of the paper). A keyframe without any has radius zero.
+    The landmarks of a keyframe are the landmarks that the keyframe or a keyframe connected to the
+    first sees (section 3.1 of the paper). A keyframe without any has radius zero.
 
     Parameters
     ----------

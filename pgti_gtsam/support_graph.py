@@ -1,8 +1,8 @@
 """Support graphs of section 5.1: minimum spheres that meet, and their merger with the pose graph.
 
-Not every pair of spheres that meet without an edge is a defect. Where two passes of one way are tied here and there,
-their keyframes overlap at many other pairs, and each such pair is the third side of a triangle of touching spheres.
-`explained_overlaps` separates these pairs, *fusion*, from those to which no chain of triangles leads, *collisions*:
+Not every pair of spheres that meet without an edge is a defect. Where two passes of a way are tied here and there,
+the keyframes overlap at many other pairs, and each such pair is the third side of a triangle of touching spheres.
+`explained_overlaps` separates these pairs, *fusion*, from pairs to which no chain of triangles leads, *collisions*:
 the line that section 6.3.2 of the paper draws by hand.
 """
 
@@ -35,11 +35,11 @@ class SupportGraph:
     merged_edges : (m, 2) int
         E_m = E_p ∪ E_f (Eq. 14).
     inserted_edges : (l, 2) int
-        E_m \\ E_p: what the space has and the pose graph lacks.
+        E_m \\ E_p: the edges of the space that the pose graph lacks.
     explained_edges : (e, 2) int
         E_e: E_p and the fusion edges.
     fusion_edges, collision_edges : (f, 2), (c, 2) int
-        The inserted edges in two: those that `explained_overlaps` explains, and the others.
+        The inserted edges in two sets: those that `explained_overlaps` explains, and the others.
 
     All have i < j and are sorted and unique.
     """
@@ -77,18 +77,18 @@ def explained_overlaps(
     odometry: NDArray[np.int64],
     new: NDArray[np.int64] | None = None,
 ) -> NDArray[np.bool_]:
-    """Which overlaps follow from the edges; the others are collisions.
+    """The overlaps that follow from the edges; all others are collisions.
 
     A *triangle* explains the overlap (i, j): some k is a neighbour of both. A *rung* explains it: odometry leads from i
-    to k and from j to l, and k and l are neighbours. What is explained joins the edges, and so on until nothing
-    changes: the least fixpoint, which depends neither on the order of the keyframes nor on that of the steps.
+    to k and from j to l, and k and l are neighbours. Explained overlaps join the edges, and so on until nothing
+    changes: the least fixpoint, independent of the order of the keyframes and of the steps.
 
     The law: an edge that a triangle explains adds no cycle to the first homology of the clique complex, since the
     triangle fills the only cycle that the edge closes. An edge that a rung explains adds none once the square i k l j,
     between two odometry steps beside each other, counts as a cell. So the explained graph has the loops of the pose
-    graph and no others. It is the motive of section 5.1, the Rips complex of the space, taken at its word.
+    graph and no others. The rule takes the motive of section 5.1, the Rips complex of the space, at its word.
 
-    Every edge is met once, when it is new: a round walks the paths of two edges that hold a new one.
+    Every edge is met once, when new: a round walks the paths of two edges that hold a new edge.
 
     Parameters
     ----------
@@ -97,9 +97,9 @@ def explained_overlaps(
     edges, overlaps : (m, 2), (k, 2) int
         Pairs of different keyframes; no pair in both.
     odometry : (l, 2) int
-        Those of the edges that are steps of a track.
+        The steps of a track among the edges.
     new : (p, 2) int, optional
-        Edges that have just joined a graph from which nothing more followed, in `edges` too; all of them without.
+        Edges that have just joined a graph from which nothing more followed, in `edges` too; by default all edges.
 
     Returns
     -------
@@ -135,7 +135,7 @@ def _walks(
 
 
 def _symmetric(n: int, pairs: NDArray[np.int64], data: NDArray[np.float64] | None = None) -> sparse.csr_array:
-    """Symmetric matrix with one number, or one, for each pair."""
+    """Symmetric matrix with a number, or 1, for each pair."""
     values = np.ones(len(pairs)) if data is None else data
     i, j = pairs.T
     both = np.concatenate([i, j]), np.concatenate([j, i])
@@ -145,14 +145,14 @@ def _symmetric(n: int, pairs: NDArray[np.int64], data: NDArray[np.float64] | Non
 def overlapping_spheres(positions: NDArray[np.float64], radii: NDArray[np.float64]) -> NDArray[np.int64]:
     """Pairs of spheres that meet: ‖p_i − p_j‖ ≤ r_i + r_j. Touching counts, as two closed balls do.
 
-    Spheres are grouped by the power of two of their radius, so that one large sphere does not make
+    Spheres are grouped by the power of two of the radius, so that a large sphere does not make
     every search large: O((n + pairs) log n) for each pair of groups.
 
     Parameters
     ----------
     positions : (n, 3) float, m
     radii : (n,) float, m
-        A sphere of radius zero is its centre, and meets the spheres that contain it.
+        A sphere of radius zero is its centre, and meets the spheres around the centre.
 
     Returns
     -------

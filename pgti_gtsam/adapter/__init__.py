@@ -45,7 +45,7 @@ def from_gtsam(
 
     Keyframes are all pose variables: Pose2, Pose3, Similarity2, Similarity3, NavState, Gal3 and cameras.
     Landmark factors give the radii (Eq. 13 with the landmarks of connected keyframes, section 3.1).
-    A landmark's position is its value; without one, the measurement of its nearest sighting.
+    The position of a landmark is its value; without a value, the measurement of the nearest sighting.
 
     Parameters
     ----------
@@ -54,14 +54,14 @@ def from_gtsam(
     values : gtsam.Values
         An estimate of the graph's variables.
     radii : float or mapping from key to float, m, optional
-        Radius of every keyframe, or of some, instead of what landmark factors give.
+        Radius of every keyframe, or of some, instead of the radius that landmark factors give.
     edges : collection of {"between", "covisibility", "track"}, optional
-        What connects keyframes: factors between them; landmarks that both see; the distance
-        travelled between them being at most the sum of their radii. The default is the first two, and
+        The sources of edges: factors between keyframes; landmarks that both keyframes see; the distance
+        travelled between keyframes being at most the sum of the radii. The default is the first two, and
         the third as well where `radii` are given or no two keyframes share a landmark: the pose graph
         would be sparser than the free space for want of landmarks, not of connections.
     min_shared_landmarks : int, optional
-        Landmarks that two keyframes must share to be connected by covisibility; without, `MIN_SHARED_LANDMARKS`, or one
+        Shared landmarks that connect two keyframes by covisibility; without, `MIN_SHARED_LANDMARKS`, or 1
         where no two keyframes share so many.
     closures : collection of int, optional
         Slots of the loop closures: every other factor between keyframes is odometry. Without, `track.roles` tells
@@ -70,7 +70,7 @@ def from_gtsam(
     Returns
     -------
     PoseGraph
-        Its `adaptation` counts what was used, ignored and not known.
+        The attribute `adaptation` counts the factors that were used, ignored and not known.
 
     Raises
     ------
@@ -127,7 +127,7 @@ _NO_PAIRS = np.empty((0, 2), dtype=np.int64)
 
 
 def checked_sources(edges: Collection[str]) -> set[str]:
-    """Names of what connects keyframes; raises InvalidOptionError."""
+    """Names of the sources of edges; raises InvalidOptionError."""
     chosen = [edges] if isinstance(edges, str) or not isinstance(edges, Iterable) else list(edges)
     if not chosen or any(name not in EDGE_SOURCES for name in chosen):
         raise InvalidOptionError(f"expected edges from {', '.join(EDGE_SOURCES)}, got {shown(edges)}")
@@ -142,7 +142,7 @@ def _default_sources(*, radii_given: bool, covisible: bool) -> set[str]:
 def _checked_radii(
     keyframes: Keyframes, seen: NDArray[np.float64], given: float | Mapping[int, float] | None
 ) -> NDArray[np.float64]:
-    """Radii from landmarks, replaced by given ones."""
+    """Radii from landmarks, replaced by given radii."""
     check_radii(given)
 
     # given ones replace what landmarks say
@@ -168,7 +168,7 @@ LARGEST_M = 1e30
 
 
 def check_radii(given: object) -> None:
-    """Refuse what is neither a radius, nor a mapping from keys to radii, nor None.
+    """Refuse anything but a radius, a mapping from keys to radii, and None.
 
     Raises
     ------
@@ -195,7 +195,7 @@ def _named(key: int) -> str:
 
 
 def _roles(reader: FactorReader, covisible: NDArray[np.int64], closures: list[int] | None) -> Roles:
-    """What is odometry among the factors between keyframes."""
+    """The odometry among the factors between keyframes."""
     own = [row.slot for row in reader.between]
     stray = sorted(set(closures or ()) - set(own))
     if stray:
@@ -230,7 +230,7 @@ def _steps(reader: FactorReader, own: Roles, order: NDArray[np.int64]) -> NDArra
 
 
 def _edge_arrays(reader: FactorReader, pairs: Mapping[str, NDArray[np.int64]], own: Roles) -> dict[str, Any]:
-    """Rows of all sources one behind the other, as PoseGraph merges them."""
+    """Rows of all sources behind each other, as PoseGraph merges rows."""
     used = reader.between if "between" in pairs else []
     edges = np.concatenate([pairs.get(name, _NO_PAIRS) for name in EDGE_SOURCES])
     flags = np.concatenate(

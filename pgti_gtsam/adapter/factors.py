@@ -1,4 +1,4 @@
-"""One pass over a factor graph: what every factor says of connectivity and of free space."""
+"""One pass over a factor graph: the connectivity and the free space that every factor reports."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _ARCHIVED_NUMBER = re.compile(r"-?\d\.\d+e[+-]\d+")
 
 @dataclass(slots=True)
 class _Landmark:
-    """A landmark while it is being placed: its index, its value if it has one, else its nearest sighting."""
+    """A landmark before placement: index, value if there is a value, else the nearest sighting."""
 
     index: int
     position: Vector
@@ -50,14 +50,14 @@ class Between(NamedTuple):
 
 @dataclass(slots=True)
 class FactorReader:
-    """Collects, factor by factor, what the pose graph is made of.
+    """Collects, factor by factor, the parts of the pose graph.
 
     Attributes
     ----------
     between : list of Between
     held : set of int
         Keyframes that a factor of another family ties to something.
-    counts : one counter of class names for each family
+    counts : a counter of class names for each family
     """
 
     keyframes: Keyframes
@@ -94,7 +94,7 @@ class FactorReader:
         self._check_every_pose_is_tied()
 
     def sightings(self) -> Sightings:
-        """All sightings, with distances from the values where a landmark has one."""
+        """All sightings, with distances from the values where a landmark has a value."""
         seen_from, seen = np.array(self._seen_from, dtype=np.int64), np.array(self._seen, dtype=np.int64)
         positions = np.array([mark.position for mark in self._landmarks.values()]).reshape(-1, 3)
         distances = np.linalg.norm(positions[seen] - self.keyframes.positions[seen_from], axis=1)
@@ -196,7 +196,7 @@ def _length(measured: Any) -> float:
 
 
 def _information(factor: Any) -> Vector | None:
-    """Information matrix of a factor, under a robust kernel that of its base; None if it has none."""
+    """Information matrix of a factor, under a robust kernel that of the base; None without an information matrix."""
     model = factor.noiseModel() if hasattr(factor, "noiseModel") else None
     if isinstance(model, gtsam.noiseModel.Robust):
         model = model.noise()
@@ -215,7 +215,7 @@ def _reversed(information: Vector | None, measured: Any) -> Vector | None:
 
 
 def _measured_point(factor: Any) -> tuple[Vector | None, float]:
-    """Point that a factor measures in the frame of its keyframe, and its distance, as far as it tells."""
+    """Point that a factor measures in the frame of its keyframe, and the distance, where the factor tells them."""
     name = type(factor).__name__
     if name == "GenericStereoFactor3D":
         camera = gtsam.StereoCamera(gtsam.Pose3(), factor.calibration())
@@ -238,10 +238,10 @@ def _measured_point(factor: Any) -> tuple[Vector | None, float]:
 
 
 def _sensor_pose(factor: Any) -> gtsam.Pose2 | gtsam.Pose3:
-    """Body-to-sensor transform of a factor, which the wheel exposes only in its archive.
+    """Body-to-sensor transform of a factor, which the wheel exposes only in the factor's archive.
 
-    The archive ends with it: rotation matrix and translation in space, x, y, cos and sin in the plane.
-    A stereo factor without one ends with its calibration.
+    The archive ends with the transform: rotation matrix and translation in space, x, y, cos and sin in the plane.
+    A stereo factor without a transform ends with its calibration.
     """
     numbers = [float(text) for text in _ARCHIVED_NUMBER.findall(factor.serialize())]
     if type(factor).__name__.endswith("2D"):
@@ -256,7 +256,7 @@ def _triangulated(factor: Any, values: gtsam.Values) -> Vector:
     """Position of a smart factor's landmark, NaN where triangulation fails.
 
     A smart factor remembers its last triangulation, here as in every `graph.error(values)`; the wheel
-    has no way to copy one.
+    cannot copy smart factors.
     """
     if type(factor).__name__.startswith("SmartStereo"):
         factor.error(values)  # triangulates; this class offers no point(values)

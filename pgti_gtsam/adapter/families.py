@@ -1,4 +1,4 @@
-"""Which factor classes of the GTSAM wheel say what about connectivity and free space."""
+"""Classes of GTSAM factors, sorted by the information on connectivity and free space."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import re
 
 
 class Family(enum.Enum):
-    """What a factor means to the pose graph."""
+    """The meaning of a factor for the pose graph."""
 
     BETWEEN = "ties two poses"
     SIGHTING = "a pose sees a landmark variable"
@@ -82,7 +82,7 @@ def family_of(class_name: str) -> Family:
     """Family of a factor class, by its name in the wheel.
 
     A pose of NavState, Similarity or camera type stands for its position. Planes, known landmarks
-    and priors are known and ignored; so are inertial and satellite factors, since they do not say
+    and priors are known and ignored; so are inertial and satellite factors, since such factors do not say
     that two keyframes see the same place.
     """
     return next((family for family, pattern in _PATTERNS if pattern.fullmatch(class_name)), Family.UNKNOWN)

@@ -1,4 +1,4 @@
-"""What a `gtsam.Values` holds: the keyframes with their centres, and landmarks."""
+"""The contents of a `gtsam.Values`: the keyframes with their centres, and landmarks."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def _pose_of_gal3(value: gtsam.Gal3) -> gtsam.Pose3:
 
 
 def _pose_of_extended(value: gtsam.ExtendedPose3d) -> gtsam.Pose3:
-    """Column 0 is the position and column 1 the velocity, as in NavState, which is the same group."""
+    """Column 0 is the position and column 1 the velocity, as in NavState, the same group."""
     return gtsam.Pose3(value.rotation(), value.x(0))
 
 
@@ -58,7 +58,7 @@ class Keyframes:
         Where the origin of each pose lies in the world; for a similarity, scale included.
     index : dict from key to row
     poses : dict from key to gtsam.Pose2 or gtsam.Pose3
-        Those that are not plain Pose2 or Pose3 values.
+        Keyframes that are not plain Pose2 or Pose3 values.
     values : gtsam.Values
     """
 
@@ -73,7 +73,13 @@ class Keyframes:
         return self.poses.get(key) or typed_value(self.values, "Pose3", key) or self.values.atPose2(key)
 
     def to_world(self, key: int, point: NDArray[np.float64]) -> NDArray[np.float64]:
-        """World coordinates, (3,), of a point given in the frame of a keyframe, (2,) or (3,)."""
+        """World coordinates, (3,), of a point given in the frame of a keyframe, (2,) or (3,).
+
+        Parameters
+        ----------
+        key : int
+        point : (2,) or (3,) float
+        """
         pose = self.pose(key)
         placed = pose.transformFrom(point[: 2 if isinstance(pose, gtsam.Pose2) else 3])
         return in_space(placed)
@@ -132,7 +138,15 @@ def _other_poses(values: gtsam.Values, plain: set[int]) -> dict[int, Any]:
 
 
 def typed_value(values: gtsam.Values, name: str, key: int) -> Any | None:
-    """Value of a key if it has the named type, else None: `Values` tells a type only by trying."""
+    """Value of a key if the value has the named type, else None: `Values` tells a type only by trying.
+
+    Parameters
+    ----------
+    values : gtsam.Values
+    name : str
+        Name of a type, as in `values.atPose3`.
+    key : int
+    """
     try:
         return getattr(values, f"at{name}")(key)
     except RuntimeError:
@@ -140,12 +154,17 @@ def typed_value(values: gtsam.Values, name: str, key: int) -> Any | None:
 
 
 def in_space(point: NDArray[np.float64]) -> NDArray[np.float64]:
-    """A point of the plane, (2,), at height zero; one in space, (3,), as it is."""
+    """A point of the plane, (2,), at height zero; a point in space, (3,), unchanged."""
     return point if len(point) == 3 else np.array([point[0], point[1], 0.0])
 
 
 def landmark_position(values: gtsam.Values, key: int) -> NDArray[np.float64] | None:
-    """Position of a landmark, (3,), z = 0 for one in the plane, or None if it is no point.
+    """Position of a landmark, (3,), z = 0 in the plane, or None if the value is no point.
+
+    Parameters
+    ----------
+    values : gtsam.Values
+    key : int
 
     Raises
     ------

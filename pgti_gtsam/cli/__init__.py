@@ -43,5 +43,5 @@ for _command in (audit, view, compare, gate, closures, mend, replay, diffusion):
 
 
 def main() -> None:
-    """Run the command line; what stops it ends with one line and exit code 2."""
+    """Run the command line; an error ends the run with one line and exit code 2."""
     run_to_its_end(app)

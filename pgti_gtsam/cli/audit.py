@@ -1,4 +1,4 @@
-"""`pgti-gtsam audit` and `view`: say whether a map is right and where not, write it down, show it."""
+"""`pgti-gtsam audit` and `view`: say whether a map is right and where not, write the result, show the map."""
 
 from __future__ import annotations
 
@@ -225,13 +225,13 @@ def _audit(
 
 
 def _are_many(files: list[Path] | None, *, one_map: bool) -> bool:
-    """Whether several maps are meant: files that are not said to be one, or a folder that is no model by itself."""
+    """Whether several maps are meant: files without --one-map, or a folder that is no model by itself."""
     given = files or []
     return not one_map and (len(given) > 1 or any(path.is_dir() and not is_map(path) for path in given))
 
 
 def _check_alone(**options: Any) -> None:
-    """Refuse what belongs to a single map."""
+    """Refuse options that belong to a single map."""
     given = next((name for name, value in options.items() if value is not None), None)
     if given is not None:
         raise InvalidOptionError(

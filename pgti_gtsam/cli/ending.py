@@ -1,4 +1,4 @@
-"""How a run of the command line ends: with exit code 2 and one line where something stops it, quietly in a closed pipe.
+"""How a run of the command line ends: an error gives one line and exit code 2; a closed pipe ends the run quietly.
 
 The only place that catches `PgtiError`, `OSError` and `MemoryError`.
 """
@@ -17,7 +17,7 @@ from pgti_gtsam.plain_text import in_ascii, visible
 
 
 def run_to_its_end(app: Callable[[], object]) -> None:
-    """Run a command line; what stops it is told in one line, followed by the notes on what was read."""
+    """Run a command line; an error is told in one line, followed by the notes on the map that was read."""
     READ_NOTES.set(())
     _print_what_terminals_have()
     try:

@@ -1,4 +1,4 @@
-"""`pgti-gtsam audit MAP MAP …` and `compare`: many maps, and one map against its former self."""
+"""`pgti-gtsam audit MAP MAP …` and `compare`: many maps, and a map against an earlier audit."""
 
 from __future__ import annotations
 
@@ -44,7 +44,25 @@ def audit_many(
     limit_mb: float,
     fail_on: str | None,
 ) -> None:
-    """The same audit of many maps: a ranking, a table, an index page, and a page for each."""
+    """The same audit of many maps: a ranking, a table, an index page, and a page for each.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        Maps, or folders of maps.
+    words : sequence of str
+        Options of the audit, as on a command line.
+    out : Path, optional
+        Folder of the results.
+    scheduler : str, optional
+        Address of a Dask scheduler.
+    workers : int
+        Processes.
+    limit_s, limit_mb : float
+        Limits of each map: seconds, megabytes.
+    fail_on : str, optional
+        Verdict from which the exit code is 1.
+    """
     if out is None:
         meant = f"the maps in {paths[0]}" if len(paths) == 1 else f"{len(paths)} maps"
         raise InvalidOptionError(
@@ -107,7 +125,7 @@ def compare(
 
 
 def _known_as(row: Mapping[str, Any], limits: tuple[float, float]) -> str:
-    """Key of the job that a row answers: one that failed within other limits answers none that is asked now."""
+    """Key of the job that a row answers: a job that failed within other limits answers none that is asked now."""
     answers = "failed" not in row or (row["limit_s"], row["limit_mb"]) == limits
     return str(row["key"]) if answers else f"{row['key']} within other limits"
 
@@ -148,7 +166,7 @@ def _print_fleet(document: Mapping[str, Any], console: Terminal) -> None:
 
 
 def _print_comparison(found: fleet.Comparison, console: Terminal) -> None:
-    """What changed, in lines."""
+    """The changes, in lines."""
     console.print(f"{found.verdicts[0]} → {found.verdicts[1]}", style="bold")
     console.print(f"Λ {_short(found.scores[0])} → {_short(found.scores[1])}", end="; ")
     console.print(f"of collisions {_short(found.collision_scores[0])} → {_short(found.collision_scores[1])}")

@@ -1,4 +1,4 @@
-"""`pgti-gtsam gate` and `closures`: sift the loop closures of a graph, or judge those of a finished map."""
+"""`pgti-gtsam gate` and `closures`: sift the loop closures of a graph, or judge the closures of a finished map."""
 
 from __future__ import annotations
 
@@ -173,8 +173,8 @@ def closures(
 ) -> None:
     """Judge each loop closure of a finished map against the map with all the others, least probable first.
 
-    A closure is taken out, the map brought to its optimum without it, and the closure offered to the gate.
-    False closures that agree vouch for each other here, and many tear the map for all: those are for `gate`.
+    A closure is taken out, the map optimised without that closure, and the closure offered to the gate.
+    False closures that agree vouch for each other here, and many bend the whole map: use `gate` for such maps.
     """
     files = MapFiles(files=file, values=values, loops=loops, one_map=one_map, ignore_unknown=ignore_unknown)
     files.check_outputs([json], cloud)
@@ -276,14 +276,14 @@ def _ends(dataset: Dataset, slots: Any) -> dict[int, list[int]]:
 
 
 def _write_gated(dataset: Dataset, gated: GatedGraph, out: Path | None, out_values: Path | None) -> Outcome:
-    """Write the gated graph, and where that is asked for its values."""
+    """Write the gated graph, and on request its values."""
     if out_values is not None:
         gtsam_archive.write_archive(gated.values, out_values)
     return Outcome({}) if out is None else write_graph(dataset, gated.graph, gated.values, out)
 
 
 def _write_pairs(dataset: Dataset, slots: Iterable[int], path: Path) -> None:
-    """Write the ends of closures as the map's file names them, a pair a line."""
+    """Write the ends of closures under their names in the map's file, a pair a line."""
     ends = _ends(dataset, slots).values()
     lines = [" ".join(dataset.names.get(key, str(key)) for key in keys) + "\n" for keys in ends]
     outputs.write_text(path, "".join(lines))

@@ -1,4 +1,4 @@
-"""`pgti-gtsam mend`: out with the wrong closures, in with those that the sensors confirm."""
+"""`pgti-gtsam mend`: take wrong closures out, put closures in that the sensors confirm."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the terminal shows of a mended map: before and after, what went out and in, and what is left."""
+"""The terminal text of a mended map: before and after, closures taken out and put in, and places left."""
 
 from __future__ import annotations
 
@@ -16,7 +16,14 @@ _OUTCOMES = {"confirmed": "green", "undecided": "yellow", "refused": "red"}
 
 
 def print_mended(document: Mapping[str, Any], console: Console) -> None:
-    """Print what mending did. Text that comes from a file is printed as it is: never read as markup."""
+    """Print what mending did. Text from a file is printed literally, never as markup.
+
+    Parameters
+    ----------
+    document : mapping
+        As `report.mended` makes it.
+    console : Console
+    """
     count = {outcome: len(_of(document, outcome)) for outcome in _OUTCOMES}
     out, tried = document["out"], len(document["attempts"])
     console.print(

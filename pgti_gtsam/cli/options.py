@@ -1,4 +1,4 @@
-"""What several commands share: options, reading, the check of outputs, the bar."""
+"""Shared parts of the commands: options, reading, the check of outputs, the bar."""
 
 from __future__ import annotations
 
@@ -67,10 +67,10 @@ CLOSED_PIPE = 141
 
 
 class Terminal(Console):
-    """A console that leaves quietly, and with a code that is no verdict, where its reader has left."""
+    """A console that ends quietly, with a code that is no verdict, where the reader of its output has left."""
 
     def on_broken_pipe(self) -> None:
-        """End; what is still to be printed goes nowhere."""
+        """End; further output is discarded."""
         discard_output()
         raise SystemExit(CLOSED_PIPE)
 
@@ -92,7 +92,7 @@ class MapFiles:
     ignore_unknown: bool = False
 
     def check_outputs(self, outputs: Iterable[Path | None], *inputs: Path | None) -> None:
-        """Refuse outputs that cannot be written, that would overwrite what is read, or each other."""
+        """Refuse outputs that cannot be written, that would overwrite an input, or each other."""
         check_outputs(outputs, [*(self.files or ()), self.values, self.loops, *inputs])
 
     def read(self) -> datasets.Dataset:
@@ -101,9 +101,9 @@ class MapFiles:
         Raises
         ------
         InvalidOptionError
-            Several files that are not said to be one map.
+            Several files without --one-map.
         PgtiError
-            Those of reading.
+            Errors of reading.
         """
         files = self.files or ()
         if len(files) > 1 and not self.one_map:
@@ -116,14 +116,24 @@ class MapFiles:
 
 
 def read_map(files: MapFiles, radius: float | None, cloud: Path | None, every: int = 1) -> tuple[datasets.Dataset, Any]:
-    """The dataset of a file, thinned out if asked for, and its radii as `from_gtsam` takes them.
+    """The dataset of a file, thinned out on request, with its radii for `from_gtsam`.
+
+    Parameters
+    ----------
+    files : MapFiles
+    radius : float, optional
+        Metres around every keyframe.
+    cloud : Path, optional
+        Point cloud or mesh from which radii are measured.
+    every : int
+        Keep every so many-th pose.
 
     Raises
     ------
     InvalidOptionError
         Both a radius and a cloud.
     PgtiError
-        Those of reading, of `subsample` and of `radii_from_cloud`.
+        Errors of reading, of `subsample` and of `radii_from_cloud`.
     """
     dataset = datasets.subsample(files.read(), every)
     READ_NOTES.set(dataset.notes)
@@ -142,7 +152,14 @@ def terminal() -> Terminal:
 
 
 def print_paths(paths: Mapping[str, Path | None], console: Console) -> None:
-    """Say where what was asked for is."""
+    """Say where the requested files are.
+
+    Parameters
+    ----------
+    paths : mapping
+        Files by their name for people; None for files that were not asked for.
+    console : Console
+    """
     for what, path in paths.items():
         if path is not None:
             console.print(f"{what}: {visible(str(path))}", style="dim", markup=False, soft_wrap=True)
@@ -154,7 +171,13 @@ def split_names(names: str | None) -> tuple[str, ...] | None:
 
 
 def check_outputs(outputs: Iterable[Path | None], inputs: Iterable[Path | None]) -> None:
-    """Refuse outputs that cannot be written, that would overwrite what is read, or each other."""
+    """Refuse outputs that cannot be written, that would overwrite an input, or each other.
+
+    Parameters
+    ----------
+    outputs, inputs : iterable
+        Files to write, and files to read; None for options that were not given.
+    """
     named, read = ([path for path in paths if path is not None] for paths in (outputs, inputs))
     for output in named:
         _check_output(output, read)
@@ -188,7 +211,7 @@ def stages(count: int) -> Iterator[Callable[[str], None]]:
 
 @contextmanager
 def counted() -> Iterator[Callable[[str, int, int], None]]:
-    """A bar on standard error that is told what is done, and how much of how much; it vanishes when done."""
+    """A bar on standard error, told how much of how much is done, that vanishes at the end."""
     columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
     console = Console(stderr=True)
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:

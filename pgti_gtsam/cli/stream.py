@@ -23,12 +23,12 @@ ENDING = (signal.SIGINT, signal.SIGTERM)
 
 
 def check_alone(others: Mapping[str, Any], state: Path | None, address: Path | None, *, stream: bool) -> None:
-    """Refuse what does not go with a stream, and what goes with a stream alone.
+    """Refuse options of files beside a stream, and options of a stream without a stream.
 
     Parameters
     ----------
     others : mapping
-        Options of files, by name; those that were given are true.
+        Options of files, by name; true for given options.
     """
     if not stream and address is None:
         if state is not None:
@@ -43,7 +43,16 @@ def check_alone(others: Mapping[str, Any], state: Path | None, address: Path | N
 
 
 def serve_standard_input(gate: LoopClosureGate, radius_m: float | None, state: Path | None) -> None:
-    """Answer the lines of standard input on standard output; exit code 141 where nobody reads the answers any more."""
+    """Answer the lines of standard input on standard output; exit code 141 where nobody reads the answers any more.
+
+    Parameters
+    ----------
+    gate : LoopClosureGate
+    radius_m : float, optional
+        Metres around every keyframe; None where lines bring the radii.
+    state : Path, optional
+        File that keeps the map; None for a map that ends with the stream.
+    """
     journal = None if state is None else Journal(state)
     session, first = (Session.started(gate, radius_m), []) if journal is None else journal.opened(gate, radius_m)
     try:
@@ -55,7 +64,16 @@ def serve_standard_input(gate: LoopClosureGate, radius_m: float | None, state: P
 
 
 def serve_socket(gate: LoopClosureGate, radius_m: float | None, path: Path) -> None:
-    """Answer any number of clients on a Unix socket, each with a map and a process of its own, until told to end."""
+    """Answer any number of clients on a Unix socket, each with a map and a process of its own, until a signal ends it.
+
+    Parameters
+    ----------
+    gate : LoopClosureGate
+    radius_m : float, optional
+        Metres around every keyframe; None where lines bring the radii.
+    path : Path
+        Name of the socket.
+    """
     _make_room(path)
     with _Server(str(path), gate, radius_m) as server:
         for number in ENDING:
@@ -70,7 +88,7 @@ def serve_socket(gate: LoopClosureGate, radius_m: float | None, path: Path) -> N
 
 
 def _make_room(path: Path) -> None:
-    """Remove a socket that a server left behind; refuse one that is served, and a file that is none."""
+    """Remove a socket that an ended server left; refuse a socket in use, and any other file."""
     if not path.exists():
         return
     if not path.is_socket():
@@ -85,7 +103,7 @@ def _make_room(path: Path) -> None:
 
 
 class _Client(socketserver.StreamRequestHandler):
-    """One client of a socket, in a process of its own, which a signal ends."""
+    """A client of a socket, in a process of its own, which a signal ends."""
 
     server: _Server
 
@@ -113,7 +131,7 @@ class _Server(socketserver.ForkingMixIn, socketserver.UnixStreamServer):
         self.ends = True
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        """Fork; a signal waits until the client's process can be ended by it."""
+        """Fork; a signal waits until the client's process can handle the signal."""
         signal.pthread_sigmask(signal.SIG_BLOCK, ENDING)
         super().process_request(request, client_address)
         signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDING)

@@ -46,6 +46,14 @@ def quaternion_poses(file: TextFile, table: Table, before: int = 0) -> list[gtsa
 
     Quaternions are normalised.
 
+    Parameters
+    ----------
+    file : TextFile
+        Named in errors.
+    table : Table
+    before : int
+        Numbers before the pose.
+
     Raises
     ------
     FileFormatError
@@ -55,7 +63,16 @@ def quaternion_poses(file: TextFile, table: Table, before: int = 0) -> list[gtsa
 
 
 def stream_of_poses(file: TextFile, table: Table, before: int = 0) -> Iterator[gtsam.Pose3]:
-    """The same, one after the other: the edges of a large file need not all be there at once."""
+    """The poses of `quaternion_poses` lazily: the edges of a large file need not be in memory together.
+
+    Parameters
+    ----------
+    file : TextFile
+        Named in errors.
+    table : Table
+    before : int
+        Numbers before the pose.
+    """
     quaternions = table.numbers[:, before + 3 : before + 7]
     norms = np.linalg.norm(quaternions, axis=1, keepdims=True)
     bad = np.flatnonzero(norms < 1e-6)  # nothing but rounding is left of a direction of that size
@@ -74,7 +91,18 @@ def euler_poses(numbers: NDArray[np.float64]) -> list[gtsam.Pose3]:
 def between_entries(
     file: TextFile, table: Table, measured: Iterable[Pose], models: Iterable[gtsam.noiseModel.Base]
 ) -> list[Entry]:
-    """One between factor per row, whose first two identifiers are its poses; a row that names one twice is left out."""
+    """A between factor per row; the first two identifiers are the poses. A row that names a pose twice is left out.
+
+    Parameters
+    ----------
+    file : TextFile
+    table : Table
+        Rows of edges.
+    measured : iterable of Pose
+        Relative poses, a pose a row.
+    models : iterable of gtsam.noiseModel.Base
+        Noise models, a model a row.
+    """
     entries, selves = [], []
     for line, ids, pose, model in zip(table.lines.tolist(), table.ids.tolist(), measured, models, strict=True):
         first, second = ids[:2]
@@ -114,24 +142,24 @@ def assemble(
     Parameters
     ----------
     file : TextFile
-        Named in errors; its notes are handed on.
+        Named in errors; the file's notes are handed on.
     format : str
         The format in words.
     poses : mapping of int to pose
-        Stored vertices; where there is none at all, poses are chained from the factors. A pose without a factor
+        Stored vertices; without any, poses are chained from the factors. A pose without a factor
         is left out, unless no factor is there: then consecutive poses are tied as a trajectory.
     entries : sequence of Entry
         Factors on poses.
     loops : sequence of Entry, optional
         Factors that the file itself calls loop closures: those between the poses of `entries` are odometry then.
     points : mapping of int to (2,) or (3,) float, optional
-        Stored landmarks by key; one without a value is put where its nearest sighting has it.
+        Stored landmarks by key; a landmark without a value is put where its nearest sighting places it.
     sightings : sequence of Sighting
         Factors between a pose and a landmark.
     radii : mapping of int to float, optional
         Metres of free space.
     known : collection of str
-        Tags that were read; of the others, those that tie two poses are refused (see `TextFile.ignore_unknown`).
+        Tags that were read; other tags that tie two poses are refused (see `TextFile.ignore_unknown`).
 
     Raises
     ------
@@ -229,7 +257,7 @@ def _refuse_mixture(
 
 
 def _place_poses(file: TextFile, held: Collection[int], betweens: Sequence[Between]) -> tuple[dict[int, Pose], str]:
-    """Poses chained from the factors, and why one may be missing."""
+    """Poses chained from the factors, and the reason why a pose may be missing."""
     if not betweens:
         raise file.error("holds no pose and no edge between poses")
     keys = sorted(held)
@@ -245,7 +273,7 @@ def _place_poses(file: TextFile, held: Collection[int], betweens: Sequence[Betwe
 def _missing(
     file: TextFile, entries: Iterable[Entry], sightings: Iterable[Sighting], poses: Mapping[int, Pose], why: str
 ) -> FileFormatError:
-    """The error about the first line that names a pose which has no place."""
+    """The error about the first line that names a pose without a place."""
     named = [(entry.line, key) for entry in entries for key in entry.poses]
     named += [(sighting.line, sighting.pose) for sighting in sightings]
     line, key = min((line, key) for line, key in named if key not in poses)
@@ -253,7 +281,7 @@ def _missing(
 
 
 def _nearest_sightings(sightings: Iterable[Sighting], poses: Mapping[int, Pose]) -> dict[int, NDArray[np.float64]]:
-    """Every landmark where the sighting of the smallest range puts it."""
+    """Every landmark at the point of the sighting of smallest range."""
     placing = [(float(np.linalg.norm(s.point)), s.landmark, s.pose, s.point) for s in sightings if s.point is not None]
     farthest_first = sorted(placing, key=lambda seen: -seen[0])
     nearest = {landmark: (pose, point) for _, landmark, pose, point in farthest_first}

@@ -1,6 +1,6 @@
-"""Poses placed by chaining one factor between poses after the other.
+"""Poses placed by chaining factors between poses.
 
-What is odometry and what a loop closure is told by the file, or else by `track.roles`.
+The file tells odometry from loop closures, or else `track.roles`.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ LETTER = 56  # bits of a symbol's index; its letter stands above them
 
 
 class Between(NamedTuple):
-    """Slot, keys and a BetweenFactorPose2 or BetweenFactorPose3, which measures the second from the first."""
+    """Slot, keys and a BetweenFactorPose2 or BetweenFactorPose3 from the first key to the second."""
 
     slot: int
     first: int
@@ -36,7 +36,7 @@ class Between(NamedTuple):
         return min(self.first, self.second), max(self.first, self.second)
 
     def step_from(self, key: int) -> Pose:
-        """The other pose seen from ``key``, which is one of the two."""
+        """The other pose seen from ``key``, either key of the edge."""
         measured = self.factor.measured()
         return measured if key == self.first else measured.inverse()
 
@@ -52,8 +52,14 @@ def poses_of(values: gtsam.Values) -> dict[int, Pose]:
 def insert_point(values: gtsam.Values, key: int, point: NDArray[np.float64]) -> None:
     """Add a point (2,) or (3,), in space as a Point3 proper.
 
-    ``Values.insert`` takes any array for a vector of dynamic size, which ``Values.update`` then confuses with
+    ``Values.insert`` takes any array for a vector of dynamic size, and ``Values.update`` confuses such a vector with
     a point. Python has no way to add a Point2 proper; GTSAM's factors read the vector all the same.
+
+    Parameters
+    ----------
+    values : gtsam.Values
+    key : int
+    point : (2,) or (3,) float
     """
     insert = values.insertPoint3 if len(point) == 3 else values.insert
     insert(key, np.asarray(point, dtype=float))
@@ -82,12 +88,12 @@ def between_factors(graph: gtsam.NonlinearFactorGraph) -> list[Between]:
 
 
 def tracked(dataset: Dataset) -> Tracked:
-    """The chains of a dataset and its loop closures: those that the file names, or what `track.roles` takes for them.
+    """The chains of a dataset and its loop closures: those that the file names, or else those of `track.roles`.
 
     Raises
     ------
     PgtiError
-        Those of `from_gtsam`.
+        As of `from_gtsam`.
     """
     keys = list(poses_of(dataset.values))
     betweens = {between.slot: between for between in between_factors(dataset.graph)}
@@ -112,7 +118,7 @@ def closure_slots(dataset: Dataset) -> tuple[int, ...]:
 def place_by_factors(keys: Sequence[int], betweens: Sequence[Between], origin: Pose) -> tuple[dict[int, Pose], int]:
     """Place poses by chaining factors from the first key, along steps of the track as far as these lead.
 
-    A breadth-first search in which a step costs nothing and another factor one. Poses that no chain of
+    A breadth-first search in which a step costs nothing and another factor 1. Poses that no chain of
     factors reaches are left out.
 
     Parameters
@@ -128,7 +134,7 @@ def place_by_factors(keys: Sequence[int], betweens: Sequence[Between], origin: P
     -------
     poses : dict of int to pose
     others_used : int
-        How many factors that are no steps had to stand in for missing ones.
+        Factors that are no steps and replaced missing steps.
     """
     place = {key: k for k, key in enumerate(keys)}
     ties = [Tie(place[i], place[j], between.step_from(i)) for between in betweens for i, j in [between.ends]]
@@ -157,11 +163,11 @@ def place_by_factors(keys: Sequence[int], betweens: Sequence[Between], origin: P
 
 
 def chain_odometry(dataset: Dataset) -> gtsam.Values:
-    """First values as an odometer alone gives them: the drift is back that closures had taken out.
+    """First values from odometry alone: with the drift that closures had taken out.
 
-    The first pose keeps its value, every later one is chained to the latest before it that odometry ties it to. Where
+    The first pose keeps its value, every later pose is chained to the latest earlier pose that odometry ties. Where
     odometry is missing, the next stretch starts at its stored pose. A landmark moves rigidly with the earliest pose
-    that sees it; all other variables keep their values.
+    with a sighting; all other variables keep their values.
 
     Parameters
     ----------
@@ -190,7 +196,7 @@ def chain_odometry(dataset: Dataset) -> gtsam.Values:
 
 
 def _leading(odometry: Sequence[Between]) -> dict[int, Between]:
-    """The odometry that leads to each key from the latest one before it."""
+    """The odometry that leads to each key from the latest earlier key."""
     leading: dict[int, Between] = {}
     for between in odometry:
         before, key = between.ends
@@ -200,7 +206,14 @@ def _leading(odometry: Sequence[Between]) -> dict[int, Between]:
 
 
 def earliest_observers(graph: gtsam.NonlinearFactorGraph, poses: Mapping[int, Pose]) -> dict[int, int]:
-    """The earliest pose that shares a factor of two variables with each variable that is no pose."""
+    """The earliest pose that shares a factor of two variables with each variable that is no pose.
+
+    Parameters
+    ----------
+    graph : gtsam.NonlinearFactorGraph
+    poses : mapping
+        Poses by key.
+    """
     earliest: dict[int, int] = {}
     for slot in range(graph.size()):
         factor = graph.at(slot)
@@ -212,7 +225,15 @@ def earliest_observers(graph: gtsam.NonlinearFactorGraph, poses: Mapping[int, Po
 
 
 def point_of(values: gtsam.Values, key: int, pose: Pose) -> NDArray[np.float64] | None:
-    """The value of a key as a point of the space that ``pose`` lives in, or None where it is none."""
+    """The value of a key as a point of the space of ``pose``, or None where the value is no point.
+
+    Parameters
+    ----------
+    values : gtsam.Values
+    key : int
+    pose : Pose
+        Any pose of the map, for the dimension.
+    """
     try:
         point = values.atPoint2(key) if isinstance(pose, gtsam.Pose2) else values.atPoint3(key)
     except RuntimeError:  # GTSAM has no other way to ask for a value's type

@@ -1,4 +1,4 @@
-"""What a file gives: a factor graph, a value of every variable, and what else the file knows."""
+"""The contents of a file: a factor graph, a value of every variable, and further knowledge of the file."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ class Dataset:
     """A factor graph read from a file.
 
     Pose ``k`` of a text file has the key ``k``, its landmark ``k`` the key ``gtsam.symbol("l", k)``: the
-    two may be numbered alike. What is a symbol in the file keeps its key; where poses have negative numbers
-    all are moved up (`names` says what the file calls them). Stereo files name their poses
-    ``gtsam.symbol("x", k)``. No reader adds a prior: the graph holds what the file says.
+    two may be numbered alike. A symbol in the file keeps its key; where poses have negative numbers
+    all keys are moved up (`names` holds the names in the file). Stereo files name their poses
+    ``gtsam.symbol("x", k)``. No reader adds a prior: the graph holds only the file's factors.
 
     Attributes
     ----------
@@ -30,22 +30,22 @@ class Dataset:
     graph : gtsam.NonlinearFactorGraph
         The factors, in the order of the file.
     values : gtsam.Values
-        The stored estimate of every variable, or a first one where the file stores none.
+        The stored estimate of every variable, or a first estimate where the file stores none.
     radii : mapping of int to float, or None
         Metres of free space around the poses whose scans the file holds.
     closures : tuple of int, or None
-        Slots of the loop closures, where the file itself says which factors these are: all others between poses are
+        Slots of the loop closures, where the file itself names the closures: all others between poses are
         odometry then. None where `track.roles` has to tell (`chain.closure_slots` gives them in either case).
     true_closures : frozenset of int, or None
-        Those that are known to be true; None when nothing is known.
+        Closures that are known to be true; None when nothing is known.
     truth : gtsam.Values, or None
         Ground-truth poses, in a frame of their own.
     notes : tuple of str
-        Short sentences on what was read, assumed and ignored.
+        Short sentences on data that was read, assumed and ignored.
     ignored_edges : int
         Lines that tie poses in an unknown way and were left out because that was asked for.
     names : mapping of int to str
-        What the file calls a variable, by key, where that is not the key itself.
+        Name of a variable in the file, by key, where the name is not the key itself.
     scans : mapping of int to (n, 2) float
         Where the readings of a pose's laser scan end, seen from the pose, m; empty where the file holds no scans.
     """
@@ -64,7 +64,7 @@ class Dataset:
     scans: Mapping[int, NDArray[np.float64]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Make the notes fit to be shown, for they name files."""
+        """Make the notes fit to be shown: notes name files."""
         object.__setattr__(self, "notes", tuple(map(visible, self.notes)))
 
     @property

@@ -1,4 +1,4 @@
-"""Factors as lines of text files: tag, keys, numbers, and what the format cannot hold.
+"""Factors as lines of text files: tag, keys, numbers, and a count of factors that the format cannot hold.
 
 A format says of every class of factors that it knows which numbers stand behind the identifiers (`Part`). What it does
 not know is counted, never dropped silently, and so is noise that has no information matrix.
@@ -26,10 +26,10 @@ TRANSLATION_FIRST = np.argsort(ROTATION_FIRST)
 
 
 class Part(NamedTuple):
-    """How a format writes a class of factors: its tag, further identifiers, and the numbers behind them.
+    """How a format writes a class of factors: tag, further identifiers, and the numbers behind them.
 
-    The numbers are made of the factor and its information in GTSAM's tangent space; some that are not finite say that
-    the format cannot hold the factor.
+    The numbers are made of the factor and the information in GTSAM's tangent space; numbers that are not finite say
+    that the format cannot hold the factor.
     """
 
     tag: str
@@ -47,7 +47,15 @@ class EdgeLine(NamedTuple):
     loss: list[str]
 
     def lines(self, names: Mapping[int, object], time: str | None = None) -> list[str]:
-        """The line under these names of the variables, behind the comment that holds its loss, if there is one."""
+        """The line under these names of the variables, behind a comment with the loss, if any.
+
+        Parameters
+        ----------
+        names : mapping
+            Names of the variables in the file, by key.
+        time : str, optional
+            Timestamp of the line, in formats with timestamps.
+        """
         ids = [names[key] for key in self.keys] + list(self.parameters)
         head = [self.tag, *([] if time is None else [time])]
         line = " ".join([*head, *map(str, ids), number_text(self.numbers)])
@@ -55,7 +63,14 @@ class EdgeLine(NamedTuple):
 
 
 def edge_lines(graph: gtsam.NonlinearFactorGraph, parts: Mapping[str, Part]) -> tuple[list[EdgeLine], Counter[str]]:
-    """What a format can hold, by slot, and the count of what it cannot, by class."""
+    """The lines that a format can hold, by slot, and the count of other factors, by class.
+
+    Parameters
+    ----------
+    graph : gtsam.NonlinearFactorGraph
+    parts : mapping
+        How the format writes each class of factors, by class name.
+    """
     edges, unwritten = [], Counter[str]()
     for slot in range(graph.size()):
         factor = graph.at(slot)
@@ -73,7 +88,7 @@ def edge_lines(graph: gtsam.NonlinearFactorGraph, parts: Mapping[str, Part]) -> 
 
 
 def _edge(part: Part, factor: Any) -> EdgeLine | None:
-    """The line of a factor; None where its noise or measurement cannot be written."""
+    """The line of a factor; None where the noise or measurement cannot be written."""
     model, loss = factor.noiseModel(), list[str]()
     if isinstance(model, gtsam.noiseModel.Robust):
         loss, model = loss_words(model.robust()), model.noise() if loss_words(model.robust()) else None
@@ -87,6 +102,12 @@ def _edge(part: Part, factor: Any) -> EdgeLine | None:
 
 def check_known(edges: Iterable[EdgeLine], known: Collection[int]) -> None:
     """Refuse a factor of a key without a value.
+
+    Parameters
+    ----------
+    edges : iterable of EdgeLine
+    known : collection of int
+        Keys with a value.
 
     Raises
     ------
@@ -102,10 +123,16 @@ def check_known(edges: Iterable[EdgeLine], known: Collection[int]) -> None:
 def checked_numbers(key: int, numbers: Numbers) -> Numbers:
     """The numbers of a vertex.
 
+    Parameters
+    ----------
+    key : int
+        Named in the error.
+    numbers : Numbers
+
     Raises
     ------
     InvalidValueError
-        One is not finite, or beyond 1e30.
+        A number is not finite, or beyond 1e30.
     """
     if not (np.abs(numbers) <= LARGEST).all():
         raise InvalidValueError(

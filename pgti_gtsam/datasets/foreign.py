@@ -1,4 +1,4 @@
-"""Files that cannot be read: what they look like, and the export that helps."""
+"""Files that cannot be read: the likely format, and the export that helps."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ TABLES = {6: "looks like KITTI calibration" + BESIDE, 17: "looks like KITTI came
 
 
 class Foreign(NamedTuple):
-    """What a file is when these bytes stand in its head, at the start or anywhere, and what to do with it."""
+    """The format of a file with these bytes in its head, at the start or anywhere, and what to do about it."""
 
     signature: bytes
     at_start: bool
@@ -67,7 +67,7 @@ FOREIGN = (
 
 
 def refuse(source: Source) -> NoReturn:
-    """Say what a source looks like that no format recognises.
+    """Name the likely format of a source that no reader recognises.
 
     Raises
     ------
@@ -85,7 +85,7 @@ def refuse(source: Source) -> NoReturn:
 
 
 def _text(file: TextFile) -> str:
-    """What a text file looks like."""
+    """The likely format of a text file."""
     if not file.lines:
         return "holds nothing but comments; expected a map, as g2o for instance"
     first = file.lines[0].text

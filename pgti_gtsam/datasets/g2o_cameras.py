@@ -2,10 +2,10 @@
 
 g2o's optimiser holds a camera as the transform from world to camera, but its files hold the inverse: ``write`` of these
 vertices and edges inverts, ``read`` inverts back (types_six_dof_expmap.cpp, types_seven_dof_expmap.cpp). Programs that
-write such a file by themselves are known to leave the inversion out. Edges tell: they are to fit the poses. Information
+write such a file by themselves are known to leave the inversion out. Edges tell: right edges fit the poses. Information
 is in the order of the tangent space, rotation first. A similarity is written as its logarithm (rotation, translation,
 scale: the matrix [sR t; 0 1] is the exponential) with the camera's four numbers behind the vertex, or as position,
-quaternion and scale (``:QUAT``). Its scale is taken out: translations of an edge are multiplied by the scale of its
+quaternion and scale (``:QUAT``). The scale is taken out: translations of an edge are multiplied by the scale of the
 first vertex.
 """
 
@@ -57,7 +57,13 @@ def camera_poses(file: TextFile) -> Cameras:
 
 
 def camera_edges(file: TextFile, cameras: Cameras) -> list[Entry]:
-    """Edges between cameras as between factors."""
+    """Edges between cameras as between factors.
+
+    Parameters
+    ----------
+    file : TextFile
+    cameras : Cameras
+    """
     entries = []
     for name, width in WIDTHS.items():
         layout, tag = CAMERA if name == RIGID else SCALED_CAMERA, f"EDGE_{name}"
@@ -102,7 +108,7 @@ def _exponential(tangent: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _fits_better_inverted(file: TextFile, poses: dict[int, gtsam.Pose3], scales: dict[int, float]) -> bool:
-    """Whether the edges fit the poses better when all of them are transforms from world to camera."""
+    """Whether the edges fit the poses better when all edges are transforms from world to camera."""
     as_written, inverted = 0.0, 0.0
     for name, width in WIDTHS.items():
         layout = CAMERA if name == RIGID else SCALED_CAMERA

@@ -1,4 +1,4 @@
-"""Edges between poses in g2o files, and the numbers that dialects write in front of their measurement.
+"""Edges between poses in g2o files, and the numbers of dialects before the measurement.
 
 ``EDGE_SE2_SWITCHABLE`` names its switch there and ``EDGE_SE2_MAXMIX`` a weight (Sünderhauf's Vertigo,
 doi:10.1109/IROS.2012.6385590), ``EDGE_SE3_OFFSET`` the two parameters that say where the sensors sit on the bodies.
@@ -57,7 +57,7 @@ def pose_edges(file: TextFile) -> list[Entry]:
 
 
 def _note_headless(file: TextFile, table: Table, matrices: NDArray[np.float64], size: int) -> None:
-    """Note the edges that measure a position alone: their odometry cannot be composed, nor fix a map."""
+    """Note the edges that measure a position alone: such odometry cannot be composed, nor fix a map."""
     turns = matrices[:, 2:, 2:] if size == 3 else matrices[:, :3, :3]
     headless = (turns == 0.0).all(axis=(1, 2)) & (matrices != 0.0).any(axis=(1, 2))
     if headless.any():

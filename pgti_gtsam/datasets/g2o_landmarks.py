@@ -3,7 +3,7 @@
 ``VERTEX_XY``, ``VERTEX_TRACKXYZ`` (also ``VERTEX_POINT_XYZ``) and those of g2o's tutorial; sightings ``EDGE_SE2_XY``
 (also ``LANDMARK2``), ``EDGE_SE3_XYZ``, ``EDGE_SE3_TRACKXYZ`` with its ``PARAMS_SE3OFFSET``, ``EDGE_BEARING_SE2_XY``.
 GTSAM's reader drops LANDMARK2 and refuses sensor offsets. RTAB-Map writes a tag (AprilTag, ArUco) as one more pose and
-its sightings as ``EDGE_SE3``: the tag becomes a landmark at that pose's position, its orientation is of no use here.
+its sightings as ``EDGE_SE3``: the tag becomes a landmark at that pose's position; the orientation is of no use here.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ def _sensor_offsets(file: TextFile) -> dict[int, gtsam.Pose3]:
 
 
 def _bearings(file: TextFile) -> list[Sighting]:
-    """EDGE_BEARING_SE2_XY: pose, landmark, bearing in radians, its information; the landmark needs its vertex."""
+    """EDGE_BEARING_SE2_XY: pose, landmark, bearing in radians, information; the landmark needs a vertex."""
     table = file.table(BEARING, ids=2, widths=[1 + 1], poses=1)
     models = information_models(file, table, table.numbers[:, 1:, None])
     found = []
@@ -104,7 +104,15 @@ def without_tags(file: TextFile, poses: Mapping[int, Pose], entries: Sequence[En
     """The tags of a graph that RTAB-Map wrote, as landmarks.
 
     RTAB-Map writes the parameters of a sensor in any graph and a tag behind the last keyframe. So a tag is a vertex
-    from which no edge leads away and whose identifier lies beyond that of the keyframe which the last edge leads to.
+    from which no edge leads away, with an identifier beyond the keyframe that the last edge leads to.
+
+    Parameters
+    ----------
+    file : TextFile
+    poses : mapping
+        Poses by key.
+    entries : sequence of Entry
+        Factors.
     """
     sources = [entry.poses[0] for entry in entries if len(entry.poses) == 2]
     last = max(sources, default=0) + 1

@@ -2,8 +2,8 @@
 
 Written are between factors (``EDGE_SE2``, ``EDGE_SE3:QUAT``), bearing-range factors as the Cartesian sightings of
 the format (``EDGE_SE2_XY``, ``EDGE_SE3_TRACKXYZ`` with a sensor at the body's origin) and GPS factors
-(``EDGE_SE3_PRIORXYZ``). Robust losses stand in a comment before their edge (see `losses`). What the format cannot
-hold is counted, never dropped silently: priors of whole poses are, since no two programs agree on their tag.
+(``EDGE_SE3_PRIORXYZ``). Robust losses stand in a comment before their edge (see `losses`). Factors without a line in
+the format are counted, never dropped silently: priors of whole poses among them, since no two programs agree on a tag.
 """
 
 from __future__ import annotations
@@ -41,14 +41,14 @@ INDEX_BITS = 56  # of a symbol's key; its letter stands above them
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Written:
-    """What became of a graph.
+    """The result of writing a graph.
 
     Attributes
     ----------
     numbers : mapping of int to int
         Number in the file, by key: the key itself where the graph could come from a text file.
     renumbered : tuple of int
-        Keys that a reader does not find again; comments at the end of the file name them.
+        Keys that a reader does not find again; comments at the end of the file name these keys.
     unwritten : mapping of str to int
         Factors and variables that the format cannot hold, by class or kind.
     """
@@ -69,17 +69,17 @@ def write_g2o(
 
     Numbers are written with all their digits: a graph that `datasets.read` read from a text file comes back with
     the same keys, factors and order; empty slots are passed over. Poses with symbols for keys are numbered by
-    their index where all have one letter and by their place otherwise, landmarks by their index where no pose
+    their index where all have the same letter and by their rank otherwise, landmarks by their index where no pose
     has that number.
 
     Parameters
     ----------
     graph : gtsam.NonlinearFactorGraph
     values : gtsam.Values
-        Written are its poses, the landmarks that are sighted, and points that no factor refers to.
+        The poses, the sighted landmarks, and points that no factor refers to are written.
     path : Path or str
     names : mapping of int to str, optional
-        Numbers that variables have in the file they come from, by key (`Dataset.names`): they keep them, as symbols
+        Numbers of variables in the file of origin, by key (`Dataset.names`): the numbers stay, as symbols
         of several robots have to.
 
     Raises
@@ -160,14 +160,14 @@ def _points(
 
 
 def _kept_numbers(keys: Collection[int], names: Mapping[int, str]) -> dict[int, int] | None:
-    """The numbers that all variables had, if each had one."""
+    """The original numbers of all variables, if each variable had a number."""
     if not names or not all(names.get(key, "").lstrip("-").isdecimal() for key in keys):
         return None
     return {key: int(names[key]) for key in keys}
 
 
 def _numbers(poses: list[int], points: list[int]) -> dict[int, int]:
-    """A number for every key; poses and landmarks share none unless they already do in a text file."""
+    """A number for every key; poses and landmarks share none unless numbers were shared in a text file."""
     numbers = _indices(poses) or {key: place for place, key in enumerate(poses)}
     if all(numbers[key] == key for key in poses) and all(landmark_key(_index(key)) == key for key in points):
         return numbers | {key: _index(key) for key in points}
@@ -179,7 +179,7 @@ def _numbers(poses: list[int], points: list[int]) -> dict[int, int]:
 
 
 def _indices(keys: list[int]) -> dict[int, int] | None:
-    """Index of every key's symbol, if all have one letter and no index is too large for the file."""
+    """Index of every key's symbol, if all have the same letter and no index is too large for the file."""
     indices = {key: _index(key) for key in keys}
     is_one = len({key >> INDEX_BITS for key in keys}) <= 1
     return indices if is_one and max(indices.values(), default=0) <= MAX_NUMBER else None

@@ -2,7 +2,7 @@
 
 GTSAM's wheel binds no factor between a pose and a Cartesian point. With the point written as a function
 x(b, r) of bearing and range and K its Jacobian, the information in bearing and range is Kᵀ Λ K: nothing
-is inverted, so what was not measured stays unmeasured.
+is inverted, so unmeasured directions stay unmeasured.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ Factory = Callable[[int, int, NDArray[np.float64], float, gtsam.noiseModel.Base]
 class Sighting(NamedTuple):
     """Line, keys of pose and landmark, the point seen from the pose's body (2,) or (3,) in metres, the factor.
 
-    There is no point where only a bearing or a range is known.
+    A bearing or a range alone gives no point.
     """
 
     line: int
@@ -68,7 +68,14 @@ def spatial_jacobian(points: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def cartesian(point: NDArray[np.float64], information: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Λ with Kᵀ Λ K the information in bearing and range: what `sightings` does, undone; NaN at range zero."""
+    """Λ with Kᵀ Λ K the information in bearing and range: the inverse of `sightings`; NaN at range zero.
+
+    Parameters
+    ----------
+    point : (2,) float
+    information : (2, 2) float
+        Of x and y.
+    """
     if not np.linalg.norm(point) > 0.0:
         return np.full_like(information, np.nan)
     jacobian = planar_jacobian if len(point) == 2 else spatial_jacobian
@@ -98,14 +105,14 @@ def sightings(
     file, table : TextFile, Table
         The lines; ``table.ids`` starts with pose and landmark.
     points : (n, d) float
-        What the pose sees, in its body frame, metres; d is 2 or 3.
+        Points that the pose sees, in the body frame, metres; d is 2 or 3.
     information : (n, d, d) float
-        Of those points, in the same frame.
+        Of the points, in the same frame.
 
     Returns
     -------
     list of Sighting
-        Those at range zero, which have no bearing, are left out with a note.
+        Sightings at range zero have no bearing and are left out with a note.
     """
     seen = np.linalg.norm(points, axis=1) > 0.0
     kept = table.where(seen)

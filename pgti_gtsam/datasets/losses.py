@@ -1,9 +1,9 @@
 """Robust losses in text files: a comment ``# 3 7 ROBUST Huber 1.345`` on the line before the edge from 3 to 7.
 
-No text format has a word for them. A comment is one that other readers pass over: they get the edge with its
-Gaussian noise. The identifiers are those that follow the edge's tag, the only one of a position twice; GTSAM's planar
+No text format has a word for losses. A comment is passed over by other readers: other readers get the edge with its
+Gaussian noise. The identifiers follow the edge's tag, and a position has its identifier twice; GTSAM's planar
 reader (4.3.0) loses every edge behind a comment that does not start with two numbers. Behind the name of a class of
-``gtsam.noiseModel.mEstimator`` stand its parameter, which ``Null`` has not, and ``Scalar`` where it weighs every
+``gtsam.noiseModel.mEstimator`` stand the parameter (none for ``Null``), and ``Scalar`` where the loss weighs every
 component of a residual by itself.
 """
 
@@ -36,9 +36,9 @@ LOSSES: dict[str, Any] = {name: getattr(_M, name) for name in _NAMES}
 
 
 def loss_words(loss: Any) -> list[str]:
-    """The words that stand for a loss; none where no words can (a custom one, a graduated one).
+    """The words for a loss; none where no words exist (a custom loss, a graduated loss).
 
-    Python has no way to ask a loss for its parameter, its archive has: ``… scheme parameter …``.
+    Python cannot ask a loss for the parameter; the archive has the number: ``… scheme parameter …``.
     """
     name = type(loss).__name__
     if name not in LOSSES:
@@ -49,7 +49,15 @@ def loss_words(loss: Any) -> list[str]:
 
 
 def loss_comment(ids: Sequence[object], words: Sequence[str]) -> str:
-    """The comment for the edge whose tag these identifiers follow."""
+    """The comment for the edge with these identifiers behind its tag.
+
+    Parameters
+    ----------
+    ids : sequence of object
+        Identifiers of the edge.
+    words : sequence of str
+        As for a loss.
+    """
     return " ".join(["#", str(ids[0]), str(ids[1] if len(ids) > 1 else ids[0]), MARK, *words])
 
 
@@ -59,7 +67,7 @@ def losses(file: TextFile) -> dict[int, Any]:
     Raises
     ------
     FileFormatError
-        The name of a loss without its parameter, or before a line that does not have its identifiers.
+        The name of a loss without its parameter, or before a line with other identifiers.
     """
     comments = [line for line in file.comments if MARK in line.text and line.fields[3:4] == [MARK]]
     found, fields = {}, {line.number: line.fields for line in file.lines} if comments else {}

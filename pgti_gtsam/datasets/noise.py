@@ -13,14 +13,14 @@ from pgti_gtsam.datasets.text import LARGEST, Table, TextFile
 
 
 def _upper_triangle(size: int) -> NDArray[np.int64]:
-    """Where entry (i, j) of a symmetric matrix stands in its upper triangle written row by row, (d, d)."""
+    """Index of entry (i, j) of a symmetric matrix in the upper triangle written row by row, (d, d)."""
     places = np.zeros((size, size), np.int64)
     places[np.triu_indices(size)] = np.arange(size * (size + 1) // 2)
     return np.maximum(places, places.T)
 
 
 def _layout(size: int, order: NDArray[np.int64]) -> dict[int, NDArray[np.int64]]:
-    """Where the entries of a matrix stand in its upper triangle and in all of it, by the count of numbers."""
+    """Indices of a matrix's entries in the upper triangle and in the full matrix, by the count of numbers."""
     upper, full = _upper_triangle(size), np.arange(size * size).reshape(size, size)
     return {size * (size + 1) // 2: upper[np.ix_(order, order)], size * size: full[np.ix_(order, order)]}
 
@@ -55,7 +55,7 @@ def information(
     file, table : TextFile, Table
         Named in errors.
     numbers : (n, k) float
-        What the lines hold behind their measurement; nothing, where unit matrices are assumed, with a note.
+        The numbers behind the measurement; empty, with a note, where unit matrices are assumed.
     layout : mapping of int to (d, d) int
         Where each entry of a matrix stands, by the count of numbers.
     tag : str
@@ -85,12 +85,12 @@ def information(
 
 
 def information_models(file: TextFile, table: Table, matrices: NDArray[np.float64]) -> list[gtsam.noiseModel.Base]:
-    """One noise model per row of a table: Gaussian, and robust where a comment before its line names a loss.
+    """A noise model per row of a table: Gaussian, and robust where a comment before the line names a loss.
 
-    A singular matrix says nothing in some direction, as files do on purpose for what was not measured.
-    GTSAM's ``Gaussian.Information`` would turn it into NaN, so it becomes the square root R with
+    A singular matrix says nothing in some direction, as files do on purpose for unmeasured directions.
+    GTSAM's ``Gaussian.Information`` would turn such a matrix into NaN, so the model takes the square root R with
     RᵀR = Λ, whose rows in the unmeasured directions are zero. A matrix with a negative eigenvalue, which
-    no measurement has, becomes the nearest one without (Higham, doi:10.1016/0024-3795(88)90223-6), with a note.
+    no measurement has, becomes the nearest matrix without (Higham, doi:10.1016/0024-3795(88)90223-6), with a note.
 
     Parameters
     ----------
@@ -133,6 +133,14 @@ def _information_model(matrix: NDArray[np.float64]) -> gtsam.noiseModel.Base:
 
 def inverse_covariances(file: TextFile, table: Table, covariances: NDArray[np.float64]) -> NDArray[np.float64]:
     """Information (n, d, d) of covariances (n, d, d).
+
+    Parameters
+    ----------
+    file : TextFile
+        Named in errors.
+    table : Table
+        Rows of the matrices.
+    covariances : (n, d, d) float
 
     Raises
     ------

@@ -22,11 +22,11 @@ INDEX = (1 << 56) - 1
 
 
 def read_one_map(paths: Sequence[Path], *, ignore_unknown: bool = False) -> Dataset:
-    """The files of several sessions or robots as one dataset, in one frame.
+    """The files of several sessions or robots as a dataset in one frame.
 
     Where no identifier of a vertex comes twice (GTSAM symbols of several robots, sessions that count on), an edge
-    of any file may tie vertices of another. Where identifiers come twice, they are taken for different keyframes:
-    those of the first file become a0, a1, …, of the second b0, b1, …, and landmarks A0, B0, ….
+    of any file may tie vertices of another. Repeated identifiers are taken for different keyframes:
+    keyframes of the first file become a0, a1, …, of the second b0, b1, …, and landmarks A0, B0, ….
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ def read_one_map(paths: Sequence[Path], *, ignore_unknown: bool = False) -> Data
 
 
 def _is_disjoint(files: Sequence[TextFile]) -> bool:
-    """Whether no two files define one vertex; files without vertices may define any."""
+    """Whether no two files define the same vertex; files without vertices may define any."""
     seen: set[str] = set()
     for file in files:
         vertices = [line for tag in file.tags if "VERTEX" in tag for line in file.tags[tag]]
@@ -64,7 +64,7 @@ def _is_disjoint(files: Sequence[TextFile]) -> bool:
 
 
 def _side_by_side(datasets: Sequence[Dataset]) -> Dataset:
-    """One dataset whose keys tell by their letter which one they come from."""
+    """A dataset whose keys tell their file by the letter."""
     kinds = {type(pose).__name__ for dataset in datasets for pose in poses_of(dataset.values).values()}
     if len(kinds) > 1:
         raise InvalidOptionError("expected files of one map, got poses in the plane in some and in space in others")

@@ -1,7 +1,7 @@
 """Factor graphs to PyFG text, such that `formats.pyfg` reads the same graph again.
 
-Names are those of symbols, and noise is written as covariance. A graph knows no timestamps: in their place stands the
-number of the pose among those of its robot.
+Names are symbols, and noise is written as covariance. A graph knows no timestamps: in their place stands the
+number of the pose among the poses of the robot.
 """
 
 from __future__ import annotations
@@ -35,7 +35,12 @@ TIMES = "timestamps, in whose place poses are counted"
 
 
 def write_pyfg(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, path: Path) -> Mapping[str, int]:
-    """Write poses, landmarks and factors as PyFG text; returns what the format cannot hold, by class or kind.
+    """Write poses, landmarks and factors as PyFG text; returns a count of the rest, by class or kind.
+
+    Parameters
+    ----------
+    graph, values
+    path : Path
 
     Raises
     ------
@@ -59,7 +64,7 @@ def write_pyfg(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, path: Pa
 
 
 def _times(poses: Mapping[int, Pose]) -> dict[int, str]:
-    """Number of each pose among those of its letter."""
+    """Number of each pose among the poses of its letter."""
     counts, times = Counter[int](), dict[int, str]()
     for key in poses:
         times[key] = f"{counts[key >> LETTER]}.0"
@@ -79,7 +84,7 @@ def _point_line(values: gtsam.Values, key: int, name: str) -> str:
 
 
 def _covariance(information: Numbers) -> Numbers:
-    """Upper triangle of the covariance; NaN where something was not measured, of which it would be infinite."""
+    """Upper triangle of the covariance; NaN for unmeasured directions, whose covariance is infinite."""
     if np.linalg.matrix_rank(information, hermitian=True) < len(information):
         return np.array([np.nan])
     return triangle(np.asarray(np.linalg.inv(information), np.float64))

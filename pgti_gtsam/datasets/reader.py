@@ -1,4 +1,4 @@
-"""Read a file whatever its format, which its content tells."""
+"""Read a file in any format; the content tells the format."""
 
 from __future__ import annotations
 
@@ -75,9 +75,9 @@ def is_map(path: Path) -> bool:
 
 
 def read_source(source: Source) -> Dataset:
-    """The dataset in a source, without looking for labels and truth beside it.
+    """The dataset in a source, without labels and truth in further files.
 
-    Reading makes millions of objects and no cycle of them: the collector, which would walk through all of them again
+    Reading makes millions of objects and no cycle: the collector would walk through all objects again
     and again, takes a third of the time of a large file and rests.
     """
     was_on = gc.isenabled()
@@ -90,7 +90,7 @@ def read_source(source: Source) -> Dataset:
 
 
 def read_plain(path: Path) -> Dataset:
-    """The dataset in a file, without looking for labels and truth beside it."""
+    """The dataset in a file, without labels and truth in further files."""
     return read_source(Source(path=path))
 
 
@@ -119,7 +119,14 @@ def builtin(name: str = "kitti00") -> Dataset:
 
 
 def read_carmen(path: Path | str, *, step_m: float = 0.5, step_rad: float = 0.5) -> Dataset:
-    """The dataset in a CARMEN log, with a choice of the keyframes' spacing; see `carmen.parse`."""
+    """The dataset in a CARMEN log, with a choice of the keyframes' spacing; see `carmen.parse`.
+
+    Parameters
+    ----------
+    path : Path or str
+    step_m, step_rad : float
+        A scan becomes a keyframe after this way or turn.
+    """
     source = Source(path=Path(path))
     if _format(source) is not carmen.FORMAT:
         raise source.error("expected a CARMEN log with FLASER or ROBOTLASER1 lines")
@@ -127,7 +134,7 @@ def read_carmen(path: Path | str, *, step_m: float = 0.5, step_rad: float = 0.5)
 
 
 def _format(source: Source) -> Format:
-    """The first format that recognises the source, which takes the files that come with it."""
+    """The first format that recognises the source with its companion files."""
     if not source.path.exists():
         raise source.error("no such file")
     found = next((format for format in FORMATS if format.recognises(source)), None)

@@ -1,6 +1,6 @@
 """Relations beside a laser log: ``time time x y z roll pitch yaw``, the second scan's pose seen from the first.
 
-They were checked by hand. Those between scans far apart in time are loop closures that are known to be true.
+The relations were checked by hand. Relations between scans far apart in time are loop closures known to be true.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ class Relation(NamedTuple):
 
 
 def loop_relations(file: TextFile, times: NDArray[np.float64]) -> tuple[list[Relation], list[str]]:
-    """Long-range relations between scans, from the file beside a log, and what to say of them.
+    """Long-range relations between scans, from the file beside a log, with notes.
 
     Parameters
     ----------

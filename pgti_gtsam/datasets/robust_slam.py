@@ -1,11 +1,11 @@
 """Labels and truth that lie beside a g2o file.
 
 The KITTI graphs of dataset-RobustSLAM (Latif): ``kitti_06_alpha_0.15.g2o`` holds libviso2 odometry and the loops that
-a detector reported, ``kitti_06_alpha_0.15_GT_LC.txt`` names the true ones, a pair of poses per line, and
+a detector reported, ``kitti_06_alpha_0.15_GT_LC.txt`` names the true closures, a pair of poses per line, and
 ``kitti_06_GT.g2o`` holds the ground-truth motion. In ``kitti_06_odom_GT_LC.g2o`` all loops are true. In the labelled
-files of sequences 00, 06 and 07 a true loop measures a motion and a false one exactly the identity: whoever compares
-methods on them must not let a method see that. Other graphs come with ``NAME_ground_truth`` or ``NAME_groundtruth``
-beside them.
+files of sequences 00, 06 and 07 a true loop measures a motion and a false loop exactly the identity: a comparison of
+methods on these files must hide that from the methods. Other graphs come with ``NAME_ground_truth`` or
+``NAME_groundtruth`` in the same folder.
 """
 
 from __future__ import annotations
@@ -28,7 +28,13 @@ DRIFTING = re.compile(r"^(.+)_(alpha_[\d.]+|odom|odom_GT_LC)$")  # names of file
 
 
 def with_labels(dataset: Dataset, path: Path) -> Dataset:
-    """The dataset with its true closures, where a label file lies beside ``path`` or its name says so.
+    """The dataset with the true closures, where a label file lies beside ``path`` or the file's name says so.
+
+    Parameters
+    ----------
+    dataset : Dataset
+    path : Path
+        File of the dataset.
 
     Raises
     ------
@@ -63,7 +69,16 @@ def _identity_note(dataset: Dataset, closures: Iterable[int]) -> list[str]:
 
 
 def with_truth(dataset: Dataset, path: Path, read: Callable[[Path], Dataset]) -> Dataset:
-    """The dataset with the ground-truth poses that ``read`` finds in a file beside ``path``, if there is one."""
+    """The dataset with the ground-truth poses that ``read`` finds in a file beside ``path``, if any.
+
+    Parameters
+    ----------
+    dataset : Dataset
+    path : Path
+        File of the dataset.
+    read : callable
+        Reader of the ground truth.
+    """
     truth = next((other for other in _truth_paths(dataset.name, path) if other.is_file()), None)
     if truth is None:
         return dataset

@@ -1,7 +1,7 @@
-"""The tables of RTAB-Map: nodes with their poses, links, and the optimised poses of Admin.
+"""The tables of RTAB-Map: nodes with poses, links, and the optimised poses of Admin.
 
 A pose is twelve float32, the upper 3x4 of a matrix by rows; the information of a link is 36 float64, translation first.
-Every link is stored in both directions. Optimised poses are one float32 matrix, deflated, with rows, columns and
+Every link is stored in both directions. Optimised poses are a float32 matrix, deflated, with rows, columns and
 OpenCV's type as three int32 behind (DatabaseSchema.sql, Link.h).
 """
 
@@ -46,12 +46,12 @@ class Link(NamedTuple):
 
 @contextmanager
 def opened(source: Source) -> Iterator[sqlite3.Connection]:
-    """The database in a source, which is not written to; a compressed one is unpacked into memory.
+    """The database in a source, opened for reading; a compressed database is unpacked into memory.
 
     Raises
     ------
     FileFormatError
-        No database of RTAB-Map, a damaged one, or one of an old version.
+        No database of RTAB-Map, a damaged database, or an old version.
     """
     with source.path.open("rb") as file:
         is_plain = file.read(len(MAGIC)) == MAGIC
@@ -78,7 +78,14 @@ def _check_tables(source: Source, database: sqlite3.Connection) -> None:
 
 
 def nodes(database: sqlite3.Connection, file: TextFile) -> tuple[dict[int, int], dict[int, gtsam.Pose3]]:
-    """Keys and poses of nodes: the optimised poses where the database holds them, else the odometry's."""
+    """Keys and poses of nodes: the optimised poses where the database holds such poses, else the odometry's.
+
+    Parameters
+    ----------
+    database : sqlite3.Connection
+    file : TextFile
+        Named in errors.
+    """
     rows = database.execute("SELECT id, map_id, pose FROM Node ORDER BY id").fetchall()
     stored = {node: blob for node, _, blob in rows if blob is not None and len(blob) == 48 and any(blob)}
     poses = optimised(database)
@@ -95,7 +102,7 @@ def nodes(database: sqlite3.Connection, file: TextFile) -> tuple[dict[int, int],
 
 
 def optimised(database: sqlite3.Connection) -> dict[int, gtsam.Pose3]:
-    """The optimised poses that RTAB-Map saved, by node; none where there are none."""
+    """The optimised poses that RTAB-Map saved, by node; empty without."""
     if not {"opt_ids", "opt_poses"} <= {row[1] for row in database.execute("PRAGMA table_info(Admin)")}:
         return {}
     for ids, poses in database.execute("SELECT opt_ids, opt_poses FROM Admin WHERE opt_poses IS NOT NULL"):
@@ -106,7 +113,14 @@ def optimised(database: sqlite3.Connection) -> dict[int, gtsam.Pose3]:
 
 
 def links(database: sqlite3.Connection, nodes: Collection[int]) -> list[Link]:
-    """Links between nodes that have a pose, and to landmarks, each pair and type once."""
+    """Links between nodes that have a pose, and to landmarks, each pair and type once.
+
+    Parameters
+    ----------
+    database : sqlite3.Connection
+    nodes : collection of int
+        Nodes with a pose.
+    """
     query = "SELECT from_id, to_id, type, transform, information_matrix FROM Link ORDER BY rowid"
     found: dict[tuple[int, int, int], Link] = {}
     for first, second, kind, transform, information in database.execute(query):
@@ -119,7 +133,7 @@ def links(database: sqlite3.Connection, nodes: Collection[int]) -> list[Link]:
 
 
 def pose_of(row: NDArray[np.float32]) -> gtsam.Pose3:
-    """The pose of twelve numbers, its rotation brought to the nearest one."""
+    """The pose of twelve numbers, with the rotation brought to the nearest rotation."""
     matrix = row.astype(float).reshape(3, 4)
     u, _, vt = np.linalg.svd(matrix[:, :3])
     return gtsam.Pose3(gtsam.Rot3(u @ vt), matrix[:, 3])

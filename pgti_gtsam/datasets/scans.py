@@ -1,4 +1,4 @@
-"""Laser scans of CARMEN's messages: what was seen, from where, when, and how near the nearest obstacle was.
+"""Laser scans of CARMEN's messages: readings, sensor pose, time, and the distance of the nearest obstacle.
 
 ``FLASER n readings… x y θ odom_x odom_y odom_θ time host logger_time``;
 ``ROBOTLASER1 type start field_of_view resolution maximum accuracy remission_mode n readings… m remissions…
@@ -22,7 +22,7 @@ Planar = tuple[float, float, float]
 
 
 class Scan(NamedTuple):
-    """Line, ranges and bearings (n,), the scanner's maximum range, its pose seen from the robot, the robot's pose by
+    """Line, ranges and bearings (n,), the scanner's maximum range, the scanner's pose on the robot, the robot's pose by
     odometry, the time."""
 
     line: int
@@ -44,9 +44,15 @@ class Scan(NamedTuple):
 def read_scan(file: TextFile, line: Line) -> Scan:
     """The scan of a FLASER or ROBOTLASER1 line.
 
-    FLASER does not say how far its scanner reaches: the maximum is infinite. Nor does it name bearings: they span half
-    a turn, ends included where the readings are odd in number (181 of a SICK LMS, one a degree). Its first pose is one
-    that some programs correct, so the scanner is taken to sit where the robot is.
+    FLASER does not say how far the scanner reaches: the maximum is infinite. Nor does FLASER name bearings: bearings
+    span half a turn, ends included where the readings are odd in number (181 of a SICK LMS, a reading a degree). The
+    first pose is the that some programs correct, so the scanner is taken to sit where the robot is.
+
+    Parameters
+    ----------
+    file : TextFile
+        Named in errors.
+    line : Line
 
     Raises
     ------
@@ -79,7 +85,7 @@ def _poses(file: TextFile, line: Line, rest: Sequence[str], behind: int) -> tupl
 
 
 def _counted(file: TextFile, line: Line, fields: Sequence[str]) -> tuple[NDArray[np.float64], Sequence[str]]:
-    """Numbers with their count in front, and the fields behind them."""
+    """Numbers with a leading count, and the fields behind the numbers."""
     count = fields[0] if fields else ""
     if not (count.isascii() and count.isdecimal() and int(count[:9]) < len(fields)):
         message = f"expected a count and as many numbers, got count {quote(count)} and {len(fields)} fields"
@@ -92,15 +98,28 @@ def _counted(file: TextFile, line: Line, fields: Sequence[str]) -> tuple[NDArray
 
 
 def smallest_range(scan: Scan, maximum_m: float = np.inf) -> float | None:
-    """Smallest range that is a measurement, or None when nothing was hit: see `valid`."""
+    """Smallest range that is a measurement, or None when nothing was hit: see `valid`.
+
+    Parameters
+    ----------
+    scan : Scan
+    maximum_m : float
+        As for `valid`.
+    """
     ranges = scan.ranges_m[valid(scan, maximum_m)]
     return float(ranges.min()) if ranges.size else None
 
 
 def valid(scan: Scan, maximum_m: float = np.inf) -> NDArray[np.bool_]:
-    """Which readings are measurements, (n,).
+    """The readings that are measurements, (n,).
 
     Ranges at or beyond the scanner's maximum, at or below zero, and such that are no numbers are none. A
     scanner writes a range beyond its maximum where no echo came back (81.91 m in logs of the SICK LMS).
+
+    Parameters
+    ----------
+    scan : Scan
+    maximum_m : float
+        The reading for 'no echo'.
     """
     return np.asarray((scan.ranges_m > 0.0) & (scan.ranges_m < min(scan.maximum_m, maximum_m)))

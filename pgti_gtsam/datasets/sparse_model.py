@@ -1,7 +1,7 @@
-"""Sparse models of structure from motion and visual SLAM: posed keyframes, points, and who sees which.
+"""Sparse models of structure from motion and visual SLAM: posed keyframes, points, and sightings.
 
-A model is the optimum of its own measurements, so a sighting measures here what the model says: bearing and range of
-the point from the keyframe, with assumed sigmas. Radii and covisibility, which is all that an audit needs, follow.
+A model is the optimum of its own measurements, so a sighting measures here the model's own geometry: bearing and range
+of the point from the keyframe, with assumed sigmas. Radii and covisibility, all that an audit needs, follow.
 """
 
 from __future__ import annotations
@@ -41,15 +41,15 @@ def sparse_model(
     points : mapping of int to (3,) float
         By identifier.
     seen : (n, 2) int
-        Key of a keyframe and identifier of a point that it sees; a pair that comes again counts once.
+        Key of a keyframe and identifier of a point in its view; a repeated pair counts once.
     ties, loops : sequence of pairs of int
-        Keys of keyframes that the model ties otherwise than by points, and of those between which it closed a loop.
+        Keys of keyframes that the model ties otherwise than by points, and pairs of keys of closed loops.
     notes : sequence of str
 
     Raises
     ------
     FileFormatError
-        There is no keyframe, or no point that one sees.
+        No keyframe, or no point in view of a keyframe.
     """
     # sightings of what the model holds, each once
     seen = np.unique(seen.reshape(-1, 2), axis=0)

@@ -1,4 +1,4 @@
-"""Fewer keyframes: every k-th pose, the odometry between them composed."""
+"""Fewer keyframes: every k-th pose, with the odometry between composed."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ class Step(NamedTuple):
 
 
 def subsample(dataset: Dataset, every: int = 5) -> Dataset:
-    """Keep every ``every``-th pose of each chain, counted from its first; keys stay what they were.
+    """Keep every ``every``-th pose of each chain, counted from the first; keys do not change.
 
     Closures, sightings and other factors stay where all their poses do, landmarks where a factor does.
-    Where a step of odometry is missing, so is the one composed of it.
+    Where a step of odometry is missing, the composed step is missing too.
 
     Parameters
     ----------
@@ -48,14 +48,14 @@ def subsample(dataset: Dataset, every: int = 5) -> Dataset:
     Returns
     -------
     Dataset
-        Composed odometry first, then the factors that stay, in their order.
+        Composed odometry first, then the other factors, in order.
 
     Raises
     ------
     InvalidOptionError
         ``every`` is below 1.
     InvalidGraphError
-        A step has a singular covariance or information matrix, which cannot be composed.
+        A step with a singular covariance or information matrix, which cannot be composed.
     """
     if every < 1:
         raise InvalidOptionError(f"expected to keep every pose (1) or fewer, got every={every}")
@@ -92,10 +92,14 @@ def subsample(dataset: Dataset, every: int = 5) -> Dataset:
 
 
 def compose(first: Step, second: Step) -> Step:
-    """One step after the other.
+    """Two consecutive steps as a single step.
 
     T₁ Exp(ξ₁) T₂ Exp(ξ₂) = T₁ T₂ Exp(Ad(T₂⁻¹) ξ₁) Exp(ξ₂), so to first order
     Σ = Ad(T₂⁻¹) Σ₁ Ad(T₂⁻¹)ᵀ + Σ₂ (Barfoot and Furgale, doi:10.1109/TRO.2014.2298059).
+
+    Parameters
+    ----------
+    first, second : Step
     """
     carry = second.pose.inverse().AdjointMap()
     covariance = carry @ first.covariance @ carry.T + second.covariance
@@ -103,7 +107,7 @@ def compose(first: Step, second: Step) -> Step:
 
 
 def _links(chains: Sequence[Sequence[int]], odometry: Sequence[Between]) -> dict[tuple[int, int], list[Between]]:
-    """The odometry from each pose to the next on its chain."""
+    """The odometry from each pose to the next on the chain."""
     links: dict[tuple[int, int], list[Between]] = {pair: [] for chain in chains for pair in pairwise(chain)}
     for between in odometry:
         if between.ends in links:
@@ -126,7 +130,7 @@ def _composed_odometry(
 
 
 def _step(link: Between, key: int) -> Step:
-    """The step that leads away from ``key``; one stored the other way round is inverted, error and all."""
+    """The step that leads away from ``key``; a step stored the other way round is inverted, error and all."""
     model = link.factor.noiseModel()
     gaussian: Any = model.noise() if isinstance(model, gtsam.noiseModel.Robust) else model
     information = np.asarray(gaussian.information())
@@ -147,7 +151,7 @@ def _copy_factors(
     steps: Collection[int],
     dropped: Set[int],
 ) -> dict[int, int]:
-    """Add the factors that are no steps and touch no dropped pose; their old slots to their new ones."""
+    """Add the factors that are no steps and touch no dropped pose; old slots to new slots."""
     slots = {}
     for slot in range(source.size()):
         factor = source.at(slot)

@@ -1,4 +1,4 @@
-"""Lines of text to checked numbers, every complaint with its file and line."""
+"""Lines of text to checked numbers, every complaint with file and line."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class Table:
     numbers: NDArray[np.float64]
 
     def where(self, kept: NDArray[np.bool_] | NDArray[np.int64]) -> Table:
-        """The rows that a mask (n,) keeps, or those of these numbers, in their order."""
+        """The rows that a mask (n,) keeps, or rows by number, in order."""
         return Table(lines=self.lines[kept], ids=self.ids[kept], numbers=self.numbers[kept])
 
 
@@ -58,15 +58,15 @@ class TextFile:
     Attributes
     ----------
     path : Path
-        The file, or the first of several that are one map.
+        The file, or the first of several files of a map.
     lines, comments : sequence of Line
     tags : mapping of str to sequence of Line
     notes : list of str
-        Sentences that reading adds to; an error takes them along.
+        Sentences that reading adds to; an error takes the notes along.
     ignore_unknown : bool
         Lines that tie two variables in an unknown way are counted instead of refused.
     others : tuple of (int, Path)
-        Number of the first line of every further file, and the file, where several are one map.
+        Number of the first line of every further file, and the file, where several files are one map.
     shift : int
         Added to identifiers of poses, so that none is negative: keys of GTSAM cannot be.
     title : str, optional
@@ -91,7 +91,16 @@ class TextFile:
     def table(self, tag: str, *, ids: int, widths: Collection[int], poses: int = 0) -> Table:
         """Lines of ``tag`` as arrays.
 
-        ``widths`` are the allowed counts of numbers after the identifiers, of which the first ``poses`` are poses.
+        Parameters
+        ----------
+        tag : str
+            First field of the lines.
+        ids : int
+            Identifiers behind the tag.
+        widths : collection of int
+            Allowed counts of numbers behind the identifiers.
+        poses : int
+            Poses among the numbers, at the front.
 
         Raises
         ------
@@ -108,11 +117,26 @@ class TextFile:
         return table
 
     def rows(self, *, ids: int, widths: Collection[int]) -> Table:
-        """All lines, which have no tag, as arrays; raises what `table` raises."""
+        """All lines, in a file without tags, as arrays; raises as `table` does.
+
+        Parameters
+        ----------
+        ids : int
+            Identifiers on a line.
+        widths : collection of int
+            Allowed counts of numbers behind the identifiers.
+        """
         return parse_table(self, self.lines, ids=ids, widths=widths, first=0)
 
     def error(self, message: str, line: int | None = None) -> FileFormatError:
-        """An error that names this file and takes the notes along."""
+        """An error that names this file and takes the notes along.
+
+        Parameters
+        ----------
+        message : str
+        line : int, optional
+            Number of the line.
+        """
         path, before = self.path, 0
         if line is not None and self.others:
             place = bisect_right([first for first, _ in self.others], line)
@@ -131,13 +155,31 @@ def bare_name(path: Path) -> str:
 
 
 def quote(label: object, length: int = 40) -> str:
-    """Text from a file, harmless and short enough to print."""
+    """Text from a file, harmless and short enough to print.
+
+    Parameters
+    ----------
+    label : object
+    length : int
+        Most characters.
+    """
     text = str(label)
     return ascii(text if len(text) <= length else text[:length] + "…")
 
 
 def split_lines(path: Path, text: str, *, ignore_unknown: bool = False, comma: bool = False) -> TextFile:
-    """Lines of ``text`` without empty ones, grouped by tag, and ``#`` comments; ``comma``: commas separate too."""
+    """Lines of ``text`` without empty lines, grouped by tag, and ``#`` comments; ``comma``: commas separate too.
+
+    Parameters
+    ----------
+    path : Path
+        Named in errors.
+    text : str
+    ignore_unknown : bool
+        As for `TextFile`.
+    comma : bool
+        Whether commas separate fields too.
+    """
     lines, comments = list[Line](), list[Line]()
     tags: dict[str, list[Line]] = {}
     for number, raw in enumerate(text.split("\n"), 1):
@@ -152,7 +194,7 @@ def split_lines(path: Path, text: str, *, ignore_unknown: bool = False, comma: b
 
 
 def joined(files: Sequence[TextFile]) -> TextFile:
-    """The lines of several files as one, which in errors still name their own file."""
+    """The lines of several files together; errors still name the line's own file."""
     lines, comments, others = list[Line](), list[Line](), list[tuple[int, Path]]()
     tags: dict[str, list[Line]] = {}
     before = 0
@@ -204,7 +246,7 @@ def parse_table(file: TextFile, lines: Sequence[Line], *, ids: int, widths: Coll
 def _common_width(
     file: TextFile, lines: Sequence[Line], rows: Sequence[list[str]], ids: int, widths: set[int], first: int
 ) -> int:
-    """Count of numbers after the identifiers, the same on every line and one of ``widths``."""
+    """Count of numbers after the identifiers, the same on every line and among ``widths``."""
     allowed = widths
     for line, row in zip(lines, rows, strict=True):
         if len(row) - ids not in allowed:
@@ -230,7 +272,7 @@ def _ids(file: TextFile, lines: Sequence[Line], rows: Sequence[list[str]]) -> li
 
 
 def _numbers(file: TextFile, lines: Sequence[Line], rows: Sequence[list[str]]) -> NDArray[np.float64]:
-    """Finite numbers up to 1e30; what Python alone takes for one (``1_0``) is refused."""
+    """Finite numbers up to 1e30; spellings of Python alone (``1_0``) are refused."""
     try:
         numbers = np.fromiter(map(float, chain.from_iterable(rows)), np.float64)
         if (np.abs(numbers) <= LARGEST).all() and "_" not in " ".join(chain.from_iterable(rows)):
@@ -243,7 +285,16 @@ def _numbers(file: TextFile, lines: Sequence[Line], rows: Sequence[list[str]]) -
 
 
 def parse_numbers(file: TextFile, line: Line, fields: Sequence[str]) -> list[float]:
-    """Finite numbers of one line, up to 1e30 in size."""
+    """Finite numbers of a line, up to 1e30 in size.
+
+    Parameters
+    ----------
+    file : TextFile
+        Named in errors.
+    line : Line
+        Named in errors.
+    fields : sequence of str
+    """
     for word in fields:
         if not is_number(word):
             raise file.error(f"expected a finite number, got {quote(word)}{_comma_advice([word])}", line.number)
@@ -270,6 +321,18 @@ def by_identifier(
 ) -> dict[int, Item]:
     """Items by the first identifier of their rows.
 
+    Parameters
+    ----------
+    file : TextFile
+        Named in errors.
+    tag : str
+        Named in errors.
+    table : Table
+    items : iterable of Item
+        An item per row of the table.
+    others : collection of int
+        Identifiers that are taken already.
+
     Raises
     ------
     FileFormatError
@@ -284,7 +347,14 @@ def by_identifier(
 
 
 def note_ignored(file: TextFile, known: Collection[str]) -> None:
-    """Note in one sentence the lines that no reader used, by tag."""
+    """Note in a sentence the lines that no reader used, by tag.
+
+    Parameters
+    ----------
+    file : TextFile
+    known : collection of str
+        Tags that a reader used.
+    """
     unknown = {tag: lines for tag, lines in file.tags.items() if tag not in known}
     shown = sorted(unknown, key=lambda tag: -len(unknown[tag]))[:8]  # a note is a line or two, not a list
     counts = [f"{len(unknown[tag])} {quote(tag)}" for tag in shown]

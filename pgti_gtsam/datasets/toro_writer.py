@@ -1,7 +1,7 @@
 """Factor graphs to TORO text, such that `formats.toro` reads the same graph again.
 
-Written are poses, between factors and, in the plane, bearing-range factors whose noise is that of bearing and range
-(``BR``). TORO has no line for a landmark: a reader puts it where its nearest sighting has it.
+The file holds poses, between factors and, in the plane, bearing-range factors with noise of bearing and range
+(``BR``). TORO has no line for a landmark: a reader puts a landmark where its nearest sighting places it.
 """
 
 from __future__ import annotations
@@ -30,7 +30,12 @@ from pgti_gtsam.datasets.landmarks import landmark_identifier
 
 
 def write_toro(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, path: Path) -> Mapping[str, int]:
-    """Write poses and factors as TORO text; returns what the format cannot hold, by class or kind.
+    """Write poses and factors as TORO text; returns a count of the rest, by class or kind.
+
+    Parameters
+    ----------
+    graph, values
+    path : Path
 
     Raises
     ------
@@ -72,7 +77,7 @@ def _spatial_between(factor: Any, information: Numbers) -> Numbers:
 
 
 def _sighting(factor: Any, information: Numbers) -> Numbers:
-    """Bearing and range and their sigmas; NaN where the two are not independent."""
+    """Bearing and range with sigmas; NaN where the two are not independent."""
     seen, variances = factor.measured(), np.diag(information)
     if information[0, 1] != 0.0 or not (variances > 0.0).all():
         return np.full(4, np.nan)

@@ -1,4 +1,4 @@
-"""A changed graph back into the format that it came in, where that holds one; g2o otherwise."""
+"""A changed graph back into its own format, where that format holds graphs; g2o otherwise."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from pgti_gtsam.datasets.toro_writer import write_toro
 
 
 class Outcome(NamedTuple):
-    """What the file of a graph cannot hold, by kind, and which format it has where that is a surprise, and why."""
+    """The parts of a graph that the file cannot hold, by kind, and the format where unexpected, with the reason."""
 
     unwritten: Mapping[str, int]
     surprise: str = ""
@@ -25,15 +25,15 @@ class Outcome(NamedTuple):
 def write_graph(dataset: Dataset, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, path: Path) -> Outcome:
     """Write a graph on the variables of a dataset, in the dataset's format or in g2o.
 
-    It is g2o where the path ends with ``.g2o``, and where the dataset's format has no line for an edge between
+    The format is g2o where the path ends with ``.g2o``, and where the dataset's format has no line for an edge between
     keyframes, or is a database of others.
 
     Parameters
     ----------
     dataset : Dataset
-        What the graph was made of.
+        The source of the graph.
     graph, values
-        The graph; its empty slots stay empty slots in an archive and are passed over elsewhere.
+        The graph; empty slots stay empty slots in an archive and are passed over elsewhere.
     path : Path
 
     Raises

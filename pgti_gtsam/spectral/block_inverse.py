@@ -1,8 +1,8 @@
-"""What is asked of the inverse of a sparse symmetric positive definite matrix of equal square blocks.
+"""Parts of the inverse of a sparse symmetric positive definite matrix of equal square blocks.
 
-The multifrontal elimination of `selected_inverse`, there told with its sources, for real matrices whose vertices carry
-a few dimensions each: information matrices of pose graphs. The covariance of a relative pose is J H⁻¹ Jᵀ; it is found
-without the inverse's own blocks, whose difference would lose the digits that a small covariance needs.
+The multifrontal elimination of `selected_inverse` (sources there), for real matrices of a few dimensions a vertex:
+information matrices of pose graphs. The covariance of a relative pose is J H⁻¹ Jᵀ, computed
+without blocks of the inverse, whose difference would lose the digits that a small covariance needs.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def factorise(tree: EliminationTree, diagonal: FloatArray, pairs: IntArray, bloc
     pairs : (m, 2) int
         Different vertices (i, j); a pair may occur repeatedly.
     blocks : (m, d, d) float
-        What each pair adds to the block in row i and column j, and transposed to its mirror image.
+        Part of each pair in the block in row i and column j; the mirror image gets the transpose.
 
     Raises
     ------
@@ -88,7 +88,13 @@ def factorise(tree: EliminationTree, diagonal: FloatArray, pairs: IntArray, bloc
 
 
 def solve(factor: BlockFactor, b: FloatArray) -> FloatArray:
-    """The inverse times b, (n, d) both."""
+    """The inverse times b, (n, d) both.
+
+    Parameters
+    ----------
+    factor : BlockFactor
+    b : (n, d) float
+    """
     tree = factor.tree
     x = b[tree.order].copy()
     rows = np.split(tree.rows, tree.row_starts[1:-1])
@@ -104,14 +110,14 @@ def solve(factor: BlockFactor, b: FloatArray) -> FloatArray:
 def products(factor: BlockFactor, ends: IntArray, jacobians: FloatArray) -> FloatArray:
     """J H⁻¹ Jᵀ of the factorised matrix H, (k d, k d).
 
-    With H = L D Lᵀ it is Zᵀ D⁻¹ Z, Z = L⁻¹ Jᵀ: what a column of Jᵀ touches lies on the way from its vertices to the
+    With H = L D Lᵀ the product is Zᵀ D⁻¹ Z, Z = L⁻¹ Jᵀ: a column of Jᵀ touches only the way from its vertices to the
     roots of the elimination tree, and no other supernode is visited.
 
     Parameters
     ----------
     factor : BlockFactor
     ends : (k, 2) int
-        Two vertices that each block of rows of J has entries at; the graph need not have an edge between them.
+        The two vertices at which each block of rows of J has entries; the graph need not have an edge between the two.
     jacobians : (k, 2, d, d) float
         The entries.
     """
@@ -122,7 +128,16 @@ def products(factor: BlockFactor, ends: IntArray, jacobians: FloatArray) -> Floa
 
 
 def own_products(factor: BlockFactor, ends: IntArray, jacobians: FloatArray) -> FloatArray:
-    """The diagonal blocks of `products`, (k, d, d)."""
+    """The diagonal blocks of `products`, (k, d, d).
+
+    Parameters
+    ----------
+    factor : BlockFactor
+    ends : (k, 2) int
+        As for `products`.
+    jacobians : (k, 2, d, d) float
+        As for `products`.
+    """
     d, found = factor.size, np.zeros((len(ends), factor.size, factor.size))
     order = np.argsort(factor.tree.positions[ends].max(axis=1, initial=0), kind="stable")
     for part in np.split(order, np.arange(TOGETHER, len(order), TOGETHER)):
@@ -174,13 +189,13 @@ class _Entries:
         return cls(sorted=order, starts=starts, i=i, j=j)
 
     def at(self, supernode: int) -> tuple[IntArray, IntArray, IntArray]:
-        """Which pairs are eliminated at a supernode, and their local positions there."""
+        """The pairs that are eliminated at a supernode, and their local positions there."""
         span = slice(self.starts[supernode], self.starts[supernode + 1])
         return self.sorted[span], self.i[span], self.j[span]
 
 
 def _flat(front: FloatArray) -> FloatArray:
-    """Blocks (m, m, d, d) as one matrix."""
+    """Blocks (m, m, d, d) as a matrix."""
     m, _, d, _ = front.shape
     return front.transpose(0, 2, 1, 3).reshape(m * d, m * d)
 

@@ -1,8 +1,8 @@
 """The heat kernel's diagonal at every vertex of a graph, by dense eigendecomposition.
 
 With L = Φ diag(λ) Φᵀ the heat kernel is K(t) = exp(−tL), and K_ii(t) = Σ_k exp(−λ_k t) φ_k(i)²: the heat
-that is left after the time t where a unit of it was put. A graph falls into connected components,
-which exchange no heat; each has exactly one eigenvalue zero, whose eigenvector is constant on it.
+that is left after the time t at the vertex that got a unit of heat. A graph falls into connected components,
+between which no heat flows; each has exactly one eigenvalue zero, with a constant eigenvector.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from pgti_gtsam.spectral.laplacian import connected_components, laplacian
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Component:
-    """Positive spectrum of one connected component: its vertices, λ_k, and φ_k(i)²."""
+    """Positive spectrum of a connected component: vertices, λ_k, and φ_k(i)²."""
 
     vertices: NDArray[np.int64]
     eigenvalues: NDArray[np.float64]
@@ -68,7 +68,7 @@ class DenseHeatKernel:
 def dense_heat_kernel(n_vertices: int, edges: NDArray[np.int64]) -> DenseHeatKernel:
     """Decompose the Laplacian of an unweighted graph, component by component.
 
-    The smallest eigenvalue of each component is left out because it is the component's zero, which
+    The smallest eigenvalue of each component is left out: that is the component's zero, which
     is a matter of counting and needs no tolerance.
 
     Parameters

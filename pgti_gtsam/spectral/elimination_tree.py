@@ -5,7 +5,7 @@ of L. Column j's parent in the elimination tree is the row of the first entry be
 tree in postorder makes every subtree contiguous without changing the fill
 (Liu, The role of elimination trees in sparse factorization, SIAM J. Matrix Anal. Appl. 11, 1990,
 doi:10.1137/0611010). Neighbouring columns of nearly the same structure are then merged into supernodes, whose
-dense blocks NumPy multiplies far faster than it visits columns one by one; a few explicit zeros are the price
+dense blocks NumPy multiplies far faster than single columns; a few explicit zeros are the price
 (Ashcraft and Grimes, The influence of relaxed supernode partitions on the multifrontal method, ACM TOMS 15,
 1989, doi:10.1145/76909.76910).
 """
@@ -27,9 +27,9 @@ TOUCH = 1e-8  # far below the degrees, far above their rounding
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class EliminationTree:
-    """Supernodes in postorder: each eliminates its pivots and updates its rows, which later ones own.
+    """Supernodes in postorder: each eliminates its pivots and updates its rows, which later supernodes own.
 
-    The front of a supernode is its pivots followed by its rows; positions in it are called local.
+    The front of a supernode is its pivots followed by its rows; positions in the front are called local.
 
     Attributes
     ----------
@@ -88,7 +88,7 @@ class EliminationTree:
         return int((self.widths * self.fronts).sum())
 
     def visits(self) -> Iterator[tuple[int, int, int, IntArray]]:
-        """Width, size of the front, parent, and local positions of the rows in it, in postorder."""
+        """Width, size of the front, parent, and the rows' local positions in the parent, in postorder."""
         into = np.split(self.into_parent, self.row_starts[1:-1])
         return zip(self.widths.tolist(), self.fronts.tolist(), self.parents.tolist(), into, strict=True)
 
@@ -111,7 +111,14 @@ class EliminationTree:
         return np.array(sorted(found), dtype=np.int64)
 
     def local(self, supernodes: IntArray, positions: IntArray) -> IntArray:
-        """Local position of given positions in the fronts of given supernodes, (k,) each."""
+        """Local position of given positions in the fronts of given supernodes, (k,) each.
+
+        Parameters
+        ----------
+        supernodes : (k,) int
+        positions : (k,) int
+            Positions in the elimination order.
+        """
         return _local(self.starts, self.row_starts, self.rows, supernodes, positions)
 
 
@@ -151,7 +158,7 @@ def analyse(n_vertices: int, edges: IntArray) -> EliminationTree:
 
 
 def _ordered_structure(n_vertices: int, edges: IntArray) -> tuple[IntArray, sparse.csc_array]:
-    """Minimum-degree order, and the lower triangle's structure after it.
+    """Minimum-degree order, and the structure of the lower triangle in that order.
 
     The values are those of a Laplacian with a touch on the diagonal: all updates have one sign, so that no entry
     cancels, and none fades away along a path; the stored entries are the symbolic ones.
@@ -195,9 +202,9 @@ def _postorder(parents: IntArray, counts: IntArray) -> IntArray:
 def _supernodes(counts: IntArray, parents: IntArray) -> tuple[IntArray, IntArray]:
     """First columns (with n appended) and last columns of the supernodes of postordered columns.
 
-    A column joins the supernode before it when that lowers the estimated time: of the two together, and per
+    A column joins the preceding supernode when that lowers the estimated time: of the two together, and per
     pivot, so that a long chain is cut at the best width instead of absorbing column after column. A root stays
-    alone: with all other vertices eliminated its row sum is its pivot, and the null vector survives any shift.
+    alone: with all other vertices eliminated the row sum is the pivot, and the null vector survives any shift.
     """
     first, costs, tops = [0], [_cost(1, counts[0])] if len(counts) else [], [0]
     count, parent = counts.tolist(), parents.tolist()
@@ -232,10 +239,10 @@ def _cost(width: int, height: int) -> float:
 def _rows(
     structure: sparse.csc_array, post: IntArray, ranks: IntArray, starts: IntArray, owners: IntArray
 ) -> tuple[list[IntArray], IntArray]:
-    """Rows of every supernode, and the parent that owns the first of them (−1 without rows).
+    """Rows of every supernode, and the parent that owns the first row (−1 without rows).
 
-    What a child updates beyond its parent's pivots the parent must update too. Exact structures say so already;
-    passing rows on keeps the tree closed where an entry underflowed and was not stored.
+    The parent must also update every row that a child updates beyond the parent's pivots. Exact structures say so
+    already; passing rows on keeps the tree closed where an entry underflowed and was not stored.
     """
     postordered = structure[:, post]
     columns, indices = postordered.indptr, ranks[postordered.indices]

@@ -1,7 +1,7 @@
-"""The heat kernel's diagonal at every vertex: what a solver gives, and which solver is asked.
+"""The heat kernel's diagonal at every vertex: the answer of a solver, and the choice of the solver.
 
 K(t) = exp(−tL) is the heat kernel of a graph with Laplacian L; K_ii(t) is the heat that is left after the
-time t where a unit of it was put. `dense_kernel` decomposes L, `pole_kernel` sums resolvents of sparse
+time t at the vertex that got a unit of heat. `dense_kernel` decomposes L, `pole_kernel` sums resolvents of sparse
 factorisations; both agree to the tolerance of the latter.
 """
 
@@ -35,14 +35,14 @@ TOLERANCE = 1e-8
 
 
 class HeatKernel(Protocol):
-    """What a solver gives: the kernel's diagonal at any times, with the spectrum's two ends.
+    """The answer of a solver: the kernel's diagonal at any times, and the spectrum's two ends.
 
     Attributes
     ----------
     n_components : int
-        Number of connected components, which is the number of eigenvalues zero.
+        Number of connected components: the number of eigenvalues zero.
     smallest_positive, largest : float
-        Ends of the positive spectrum; both one for a graph without an edge.
+        Ends of the positive spectrum; 1 for a graph without an edge.
     error_estimate : float
         Estimated error relative to the largest entry; zero for the dense solver.
     """
@@ -79,7 +79,7 @@ def heat_kernels(
     *edge_lists : (m, 2) int
         Distinct pairs of distinct vertices.
     method : {"auto", "dense", "poles"}
-        The solver; "auto" takes the one that is estimated to be faster.
+        The solver; "auto" takes the solver with the smaller estimated time.
     tolerance : float
         Error relative to the largest signature that "poles" may make, from 1e-11 to 1e-2.
 
@@ -95,7 +95,7 @@ def heat_kernels(
 
 
 def _poles_are_faster(n: int, edges: NDArray[np.int64]) -> bool:
-    """Estimate both from the graph's fill, which an expander has and a track has not."""
+    """Estimate both times from the graph's fill: large for an expander, small for a track."""
     if n <= ALWAYS_DENSE or len(edges) > FULL * n**2 / 2:
         return False
     if n <= AFFORDABLY_DENSE and _widest_level(n, edges) > n / 4:

@@ -19,7 +19,7 @@ def adjacency(
     edges : (m, 2) int
         Pairs of distinct vertices; an edge that is listed twice counts twice.
     weights : (m,) float, optional
-        Positive weights; one everywhere when left out.
+        Positive weights; 1 everywhere when left out.
 
     Returns
     -------
@@ -36,11 +36,14 @@ def laplacian(
 ) -> sparse.csc_array:
     """Combinatorial Laplacian L = D − W (section 3.3 of the paper takes unit weights).
 
-    Parameters and errors are those of `adjacency`.
+    Parameters
+    ----------
+    n_vertices, edges, weights
+        As for `adjacency`, with the same errors.
 
     Returns
     -------
-    (n, n) sparse matrix, symmetric, positive semidefinite, its rows summing to zero.
+    (n, n) sparse matrix, symmetric, positive semidefinite, with rows that sum to zero.
     """
     w = adjacency(n_vertices, edges, weights)
     return sparse.csc_array(sparse.diags_array(w.sum(axis=0)) - w)
@@ -49,7 +52,12 @@ def laplacian(
 def connected_components(n_vertices: int, edges: NDArray[np.int64]) -> tuple[int, NDArray[np.int32]]:
     """Number of connected components, and the component of every vertex, (n,).
 
-    The dimension of the Laplacian's null space is this number, counted without a tolerance.
+    The dimension of the Laplacian's null space is the number of components, counted without a tolerance.
+
+    Parameters
+    ----------
+    n_vertices : int
+    edges : (m, 2) int
     """
     count, labels = csgraph.connected_components(adjacency(n_vertices, edges), directed=False)
     return int(count), labels

@@ -1,7 +1,7 @@
-"""What a few inserted edges change in the heat kernel nearby, at a cost that does not grow with the graph.
+"""How a few inserted edges change the heat kernel nearby, at a cost that does not grow with the graph.
 
 Heat reaches about √t hops in the time t. So the kernel's change at times up to t is computed on a ball U of
-vertices around the ends of the inserted edges, from which heat leaves for good: with D the Laplacian's block on U,
+vertices around the ends of the inserted edges, which heat leaves for good: with D the Laplacian's block on U,
 the killed kernel exp(−tD). How much is lost is known afterwards. For an inserted edge ab and b = e_a − e_b,
 Duhamel's formula gives the change at a vertex i,
 
@@ -49,7 +49,7 @@ class LocalChange:
     vertices : (m,) int
         Of the ball; the changes elsewhere are below the bound.
     before, after : (m, n_times) float
-        K_ii(t) of the ball, from which heat leaves for good: below the graph's K_ii(t) near its rim.
+        K_ii(t) of the ball, which heat leaves for good: below the graph's K_ii(t) near its rim.
     bound : (n_times,) float
         Largest error of after − before as the change of K_ii(t), at any vertex of the graph.
     """
@@ -67,7 +67,7 @@ def local_change(
     tolerance: float = 1e-4,
     max_vertices: int = 4000,
 ) -> LocalChange:
-    """Change of K_ii(t) by inserted edges, near them.
+    """Change of K_ii(t) near inserted edges.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ def local_change(
     times : (n_times,) float
         Positive.
     tolerance : float
-        Asked of the bound, on K_ii(t) between zero and one.
+        Largest bound allowed, on K_ii(t) between zero and one.
     max_vertices : int
         Where the ball stops growing even if the bound is not met.
     """
@@ -138,7 +138,7 @@ def _on_ball(laplacian: sparse.csc_array, vertices: IntArray, inserted: IntArray
 
 @lru_cache(maxsize=16)
 def _fitted(times: tuple[float, ...], largest: float) -> tuple[ComplexArray, poles.Fit]:
-    """Poles and weights for a spectrum from zero to `largest`, which most candidates of a map share."""
+    """Poles and weights for a spectrum from zero to `largest`, shared by most candidates of a map."""
     slowest = SLOWEST_POLE / max(times)
     shifts = poles.place(min(slowest, largest), largest, POLE_TOLERANCE)
     return shifts, poles.fit_from_zero(shifts, np.array(times), largest)

@@ -1,7 +1,7 @@
-"""The heat kernel of a graph with a few edges more or less, from what is known of the graph as it is.
+"""The heat kernel of a graph with a few edges more or less, from the factors of the graph without the change.
 
-Let B, (n, k), hold a column e_i − e_j for every changed edge ij, and S, (k, k), diagonal, one where the edge is
-inserted and minus one where it is removed. Then L' = L + B S Bᵀ and, with Y = (L + zI)⁻¹ B (Woodbury, 1950; Hager,
+Let B, (n, k), hold a column e_i − e_j for every changed edge ij, and S, (k, k), diagonal, 1 where the edge is
+inserted and −1 where the edge is removed. Then L' = L + B S Bᵀ and, with Y = (L + zI)⁻¹ B (Woodbury, 1950; Hager,
 SIAM Rev. 31, 1989, doi:10.1137/1031049),
 
     diag (L' + zI)⁻¹ = diag (L + zI)⁻¹ − diag Y (S + Bᵀ Y)⁻¹ Yᵀ,
@@ -41,7 +41,7 @@ LOST_DIGITS = 30.0  # by which the error estimate may exceed the tolerance befor
 class SpectralState:
     """A graph's heat kernel with the factorisations that inserted edges are judged by.
 
-    Valid until the graph itself changes, whatever is asked of it. Holds 16 bytes for every pole and every entry
+    Valid until the graph itself changes. Holds 16 bytes for every pole and every entry
     of the factor: about 150 MB for 10 000 keyframes.
 
     Attributes
@@ -49,7 +49,7 @@ class SpectralState:
     edges : (m, 2) int
     tolerance : float
     kernel : PoleHeatKernel
-        Of the graph as it is.
+        Of the graph without changes.
     tree : EliminationTree
     diagonals : (n_poles, n) complex
         diag (L + z_j I)⁻¹, zero mode kept.
@@ -68,7 +68,14 @@ class SpectralState:
     def of(cls, n_vertices: int, edges: IntArray, tolerance: float = 1e-8) -> SpectralState:
         """Factorise a graph and compute its heat kernel.
 
-        Parameters and errors are those of `pole_kernels`, for one graph.
+        Parameters
+        ----------
+        n_vertices : int
+        edges : (m, 2) int
+            Pairs of distinct vertices.
+        tolerance : float
+            As for `pole_kernels`, with the same errors.
+
         """
         edges = np.asarray(edges, dtype=np.int64).reshape(-1, 2)
         tree = analyse(n_vertices, edges)
@@ -90,12 +97,12 @@ class SpectralState:
         """Heat kernel of the graph plus some edges, with bounds for the ends of its spectrum.
 
         Cheaper than `kernel_with`: no eigenvalue is computed. Inserted edges lower none, and raise the largest by no
-        more than twice the largest number of them at one vertex.
+        more than twice the largest number of inserted edges at a vertex.
 
         Parameters
         ----------
         inserted : (k, 2) int
-            Pairs of distinct vertices; one that is an edge already counts twice.
+            Pairs of distinct vertices; a pair that is an edge already counts twice.
         """
         inserted = np.asarray(inserted, dtype=np.int64).reshape(-1, 2)
         if len(inserted) == 0:
@@ -164,14 +171,26 @@ class SpectralState:
 
 
 def incidence(n_vertices: int, edges: IntArray) -> FloatArray:
-    """B: a column e_i − e_j for every edge ij, (n, k)."""
+    """B: a column e_i − e_j for every edge ij, (n, k).
+
+    Parameters
+    ----------
+    n_vertices : int
+    edges : (k, 2) int
+    """
     columns, k = np.zeros((n_vertices, len(edges))), np.arange(len(edges))
     columns[edges[:, 0], k], columns[edges[:, 1], k] = 1.0, -1.0
     return columns
 
 
 def differences(y: ComplexArray, edges: IntArray) -> ComplexArray:
-    """Bᵀ Y for Y of shape (p, n, m): (p, k, m)."""
+    """Bᵀ Y for Y of shape (p, n, m): (p, k, m).
+
+    Parameters
+    ----------
+    y : (p, n, m) complex
+    edges : (k, 2) int
+    """
     return np.asarray(y[:, edges[:, 0]] - y[:, edges[:, 1]])
 
 

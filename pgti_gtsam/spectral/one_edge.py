@@ -1,8 +1,8 @@
 """Signatures of a connected graph plus one edge, for many edges in turn.
 
-With y = (L + zI)⁻¹ (e_i − e_j) an inserted edge ij lowers diag (L + zI)⁻¹ by y ∘ y / (1 + y_i − y_j), and its trace by
+With y = (L + zI)⁻¹ (e_i − e_j) an inserted edge ij lowers diag (L + zI)⁻¹ by y ∘ y / (1 + y_i − y_j), and the trace by
 yᵀy / (1 + y_i − y_j) (`low_rank`). One sweep over the factors gives y for many edges. The weights that turn resolvents
-into heat kernels are the same for all of them, since one edge lowers no eigenvalue and raises none by more than two.
+into heat kernels are the same for all edges: an inserted edge lowers no eigenvalue and raises none by more than two.
 """
 
 from __future__ import annotations
@@ -27,15 +27,15 @@ CHUNK_ENTRIES = 4_000_000
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class OneMoreEdge:
-    """A connected graph at given times, ready for any one edge more.
+    """A connected graph at given times, ready for any single inserted edge.
 
     Attributes
     ----------
     state : SpectralState
     weights : (n_poles, n_times) complex
-        Of the exponentials exp(−t(λ − λ₂)) of the graph as it is.
+        Of the exponentials exp(−t(λ − λ₂)) of the graph without an inserted edge.
     parts : (n, n_times) float
-        Positive part of the kernel's diagonal as it is, scaled so.
+        Positive part of the kernel's diagonal without an inserted edge, scaled likewise.
     totals : (n_times,) float
     """
 
@@ -65,7 +65,15 @@ class OneMoreEdge:
         return cls(state=state, weights=fit.weights, parts=parts, totals=parts.sum(axis=0))
 
     def signatures(self, inserted: IntArray, vertices: IntArray) -> Iterator[FloatArray]:
-        """Scaled signatures at some vertices with each edge in turn: (n_vertices, n_times) for every edge."""
+        """Scaled signatures at some vertices with each edge in turn: (n_vertices, n_times) for every edge.
+
+        Parameters
+        ----------
+        inserted : (k, 2) int
+            Pairs of distinct vertices.
+        vertices : (n_vertices,) int
+            Vertices whose signatures are returned.
+        """
         n_poles = len(self.weights)
         chunk = max(1, CHUNK_ENTRIES // (n_poles * self.state.tree.n_vertices))
         rows = self.state.tree.positions[vertices]

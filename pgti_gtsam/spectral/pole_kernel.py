@@ -1,6 +1,6 @@
 """The heat kernel's diagonal at every vertex in time nearly linear in the number of vertices.
 
-exp(−tL)_ii of all times comes from the diagonals of one set of resolvents (`poles`), each of those from a sparse
+exp(−tL)_ii of all times comes from the diagonals of one set of resolvents (`poles`), each diagonal from a sparse
 factorisation (`selected_inverse`). Graphs on the same vertices share the order of elimination, the fill and the
 poles. The constant of each component, eigenvalue zero, is taken off every resolvent exactly: 1/(n_c z) at a vertex
 of a component of n_c vertices.
@@ -31,7 +31,7 @@ LATE_DECAYS = 23.0  # exp(−23) = 1e-10: slower modes than this, relative to th
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Spectrum:
-    """A Laplacian with what the fit has to know of its spectrum.
+    """A Laplacian with the parts of its spectrum that the fit needs.
 
     Attributes
     ----------
@@ -40,7 +40,7 @@ class Spectrum:
     labels : (n,) int
         Connected component of every vertex.
     smallest_positive, largest : float
-        An interval that holds all positive eigenvalues; both one for a graph without an edge.
+        An interval that holds all positive eigenvalues; 1 and 1 for a graph without an edge.
     smallest_by_component : (n_components,) float
         Lower bounds of each component's positive eigenvalues, infinite at an isolated vertex.
     """
@@ -54,7 +54,15 @@ class Spectrum:
 
     @classmethod
     def of(cls, n_vertices: int, edges: IntArray, order: IntArray | None = None) -> Spectrum:
-        """The tightest interval, eliminating in a given order where there is one."""
+        """The Laplacian of a graph with the tightest interval.
+
+        Parameters
+        ----------
+        n_vertices : int
+        edges : (m, 2) int
+        order : (n,) int, optional
+            Elimination order; without, minimum degree.
+        """
         matrix = laplacian(n_vertices, edges)
         count, labels = connected_components(n_vertices, edges)
         smallest, largest = extreme_eigenvalues(matrix, labels, order)
@@ -91,7 +99,7 @@ class PoleHeatKernel:
     ----------
     spectrum : Spectrum
     error_estimate : float
-        Estimated error of signatures relative to the largest one: `poles.Fit.residual` at the reference times.
+        Estimated error of signatures relative to the largest signature: `poles.Fit.residual` at the reference times.
     shifts : (n_poles,) complex
     resolvents : (2 n_poles, n) float
         Real parts, then negated imaginary parts of diag (L + z_j I)⁻¹ without the zero mode.
@@ -104,7 +112,14 @@ class PoleHeatKernel:
 
     @classmethod
     def of(cls, spectrum: Spectrum, shifts: ComplexArray, diagonals: ComplexArray) -> PoleHeatKernel:
-        """Take the zero mode off the diagonals of the resolvents, (n_poles, n)."""
+        """Take the zero mode off the diagonals of the resolvents, (n_poles, n).
+
+        Parameters
+        ----------
+        spectrum : Spectrum
+        shifts : (n_poles,) complex
+        diagonals : (n_poles, n) complex
+        """
         sizes = np.bincount(spectrum.labels)[spectrum.labels]
         positive = diagonals - 1 / np.outer(shifts, sizes)
         positive[:, sizes == 1] = 0
@@ -114,22 +129,22 @@ class PoleHeatKernel:
 
     @property
     def n_components(self) -> int:
-        """Number of connected components, which is the number of eigenvalues zero."""
+        """Number of connected components: the number of eigenvalues zero."""
         return self.spectrum.n_components
 
     @property
     def smallest_positive(self) -> float:
-        """Smallest positive eigenvalue; one for a graph without an edge."""
+        """Smallest positive eigenvalue; 1 for a graph without an edge."""
         return self.spectrum.smallest_positive
 
     @property
     def largest(self) -> float:
-        """Largest eigenvalue; one for a graph without an edge."""
+        """Largest eigenvalue; 1 for a graph without an edge."""
         return self.spectrum.largest
 
     @property
     def zero_mode(self) -> FloatArray:
-        """Share of the zero mode in K_ii(t) at all times: one over the size of the component, (n,)."""
+        """Share of the zero mode in K_ii(t) at all times: 1 over the size of the component, (n,)."""
         return np.asarray(1 / np.bincount(self.spectrum.labels)[self.spectrum.labels])
 
     def diagonals(self, times: FloatArray) -> FloatArray:
@@ -155,8 +170,8 @@ class PoleHeatKernel:
     def _positive_part(self, times: FloatArray) -> FloatArray:
         """exp(λ₂t) (K_ii(t) − zero mode): (n, n_times).
 
-        Components whose own spectrum begins later are fitted from there, or the error of the slow ones would
-        drown what little their signatures hold.
+        Components whose own spectrum begins later are fitted from there, or the error of the slow components would
+        drown the small signatures.
         """
         times = np.asarray(times, dtype=float)
         part = np.empty((self.resolvents.shape[1], len(times)))

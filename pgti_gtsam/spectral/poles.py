@@ -4,15 +4,15 @@ On the positive spectrum, λ in [λ₂, λ_max],
 
     exp(−tλ) ≈ Re( c(t) + Σ_j w_j(t) / (λ + z_j) ),
 
-with poles −z_j that do not depend on t. So the diagonal of exp(−tL) at every time is one matrix product with the
-diagonals of the resolvents (L + z_j I)⁻¹, which are computed once. The z_j lie on a ray (its mirror image is
-counted by taking the real part), their moduli in geometric progression from below λ₂ to above λ_max, as the
+with poles −z_j that do not depend on t. So the diagonal of exp(−tL) at every time is a matrix product with the
+diagonals of the resolvents (L + z_j I)⁻¹, computed once. The z_j lie on a ray (the mirror image is
+counted by taking the real part), with moduli in geometric progression from below λ₂ to above λ_max, as the
 function varies on the scale of λ itself at all times between 1/λ_max and 1/λ₂. The weights of all times are one
 linear least squares fit on a logarithmic grid of λ. Poles in geometric progression converge geometrically at a
 rate that depends on log(λ_max/λ₂) only (compare Trefethen, Weideman and Schmelzer, Talbot quadratures and
 rational approximations, BIT 46, 2006, doi:10.1007/s10543-006-0077-9, for one t at a time).
 
-Fitted is exp(−t(λ − λ₂)), which does not underflow, and residuals count more where a graph has more eigenvalues:
+The fit is to exp(−t(λ − λ₂)), which does not underflow, and residuals count more where a graph has more eigenvalues:
 a chain has about (λ/λ₂)^(1/2) of them below λ, a surface λ/λ₂.
 """
 
@@ -51,7 +51,7 @@ class Fit:
         w_j(t).
     residual : float
         Largest weighted residual, relative to the largest weighted value at the same time: an estimate of the
-        error relative to the largest signature. Observed errors stay within thirty times of it; no bound.
+        error relative to the largest signature. Observed errors stay within thirty times the residual; no bound.
     largest_error : float
         Largest residual of the exponential itself, between zero and one.
     """
@@ -99,12 +99,25 @@ def place(smallest: float, largest: float, tolerance: float) -> ComplexArray:
 
 
 def reference_times(smallest: float, largest: float) -> FloatArray:
-    """Times at which the spectrum [smallest, largest] matters, from the paper's first on: (n,)."""
+    """Times at which the spectrum [smallest, largest] matters, from the paper's first on: (n,).
+
+    Parameters
+    ----------
+    smallest, largest : float
+        λ₂ and λ_max.
+    """
     return np.geomspace(EARLIEST / largest, max(LATEST / smallest, EARLIEST / largest), REFERENCE_TIMES)
 
 
 def reference_residual(shifts: ComplexArray, smallest: float, largest: float) -> float:
-    """Residual of the fit at the reference times."""
+    """Residual of the fit at the reference times.
+
+    Parameters
+    ----------
+    shifts : (n_shifts,) complex
+    smallest, largest : float
+        λ₂ and λ_max.
+    """
     return fit(shifts, reference_times(smallest, largest), smallest, largest).residual
 
 
@@ -114,7 +127,7 @@ def fit(shifts: ComplexArray, times: FloatArray, smallest: float, largest: float
     Parameters
     ----------
     shifts : (n_poles,) complex
-        As `place` gives them, for this interval or one that holds it.
+        As `place` gives them, for this interval or a larger interval.
     times : (n_times,) float
         Not negative.
     smallest, largest : float
@@ -176,7 +189,7 @@ def _least_squares(
 
 
 def _near(shifts: ComplexArray, smallest: float, largest: float) -> NDArray[np.bool_]:
-    """Which shifts serve an interval: others would take large weights of opposite signs and cancel."""
+    """The shifts that serve an interval: others would take large weights of opposite signs and cancel."""
     moduli = np.abs(shifts)
     inside = (moduli >= BELOW * smallest * (1 - 1e-9)) & (moduli <= ABOVE * largest * (1 + 1e-9))
     near = inside.copy()

@@ -1,8 +1,8 @@
 """The diagonal of (L + zI)⁻¹ for many complex shifts z at once, without the rest of the inverse.
 
 1. *Elimination* (multifrontal LDLᵀ; Duff and Reid, ACM TOMS 9, 1983, doi:10.1145/356044.356047). The supernodes of
-   `elimination_tree` are visited from the leaves to the roots. With J the pivots of a supernode and A its rows, its
-   front is what is left of the matrix there,
+   `elimination_tree` are visited from the leaves to the roots. With J the pivots of a supernode and A the rows, the
+   front is the rest of the matrix there,
 
        F_JJ  F_JA    from the entries in the rows of J    D = F_JJ⁻¹ and X = D F_JA are kept,
        F_AJ  F_AA    and the children's updates;          F_AA − F_AJ X is the update for the parent.
@@ -69,13 +69,13 @@ class FrontEntries:
 
     @classmethod
     def of(cls, tree: EliminationTree, laplacian: sparse.csc_array, grounds: FloatArray | None = None) -> FrontEntries:
-        """Sort the entries of a Laplacian whose edges are among those that the tree was made for.
+        """Sort the entries of a Laplacian whose edges are edges of the tree's graph or fewer.
 
         Parameters
         ----------
         tree : EliminationTree
         laplacian : (n, n) sparse
-            Only its off-diagonal entries are read.
+            Only the off-diagonal entries are read.
         grounds : (n,) float, optional
             Row sums, not negative; zero when left out.
         """
@@ -127,7 +127,7 @@ def inverse_diagonals(entries: FrontEntries, shifts: ComplexArray) -> Iterator[t
     Yields
     ------
     chunk : slice
-        Which shifts these are.
+        The numbers of the shifts.
     diagonals : (len(chunk), n) complex
     """
     memory = max(MEMORY_BYTES, MEMORY_BYTES_PER_VERTEX * entries.tree.n_vertices)

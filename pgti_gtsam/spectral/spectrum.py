@@ -55,14 +55,14 @@ def extreme_eigenvalues(
     laplacian : (n, n) sparse
         L = D − W with weights W_ij >= 0; only its off-diagonal part is read.
     labels : (n,) int
-        Connected component of every vertex; as many eigenvalues are zero as there are components.
+        Connected component of every vertex; as many eigenvalues are zero as components exist.
     order : (n,) int, optional
         Vertices in an order of elimination with little fill; minimum degree when left out.
 
     Returns
     -------
     smallest_positive, largest : float
-        Both 1.0 for a graph without edges, which has no positive eigenvalue.
+        Both 1.0 for a graph without edges: no eigenvalue is positive.
     """
     order = _minimum_degree_order(laplacian) if order is None else order
     labels = labels[order]
@@ -76,9 +76,12 @@ def extreme_eigenvalues(
 def smallest_by_component(
     laplacian: sparse.csc_array, labels: IndexArray, order: IndexArray | None = None
 ) -> FloatArray:
-    """Smallest positive eigenvalue of every component; infinite at an isolated vertex, which has none.
+    """Smallest positive eigenvalue of every component; infinite at an isolated vertex.
 
-    Parameters are those of `extreme_eigenvalues`.
+    Parameters
+    ----------
+    laplacian, labels, order
+        As for `extreme_eigenvalues`.
 
     Returns
     -------
@@ -98,7 +101,7 @@ def log_pseudo_determinant(laplacian: sparse.csc_array, labels: IndexArray) -> f
     """Logarithm of the product of a Laplacian's positive eigenvalues.
 
     Kirchhoff's matrix-tree theorem: for a component of n vertices the product is n times the determinant of its
-    Laplacian without the row and the column of any one vertex.
+    Laplacian without the row and the column of any vertex.
 
     Parameters
     ----------
@@ -129,7 +132,7 @@ def lowest_eigenpairs(
 ) -> Iterator[tuple[IndexArray, FloatArray, FloatArray]]:
     """Positive eigenvalues up to a bound and their eigenvectors, component by component.
 
-    How many there are is counted first (Sylvester), so that none is missed.
+    The eigenvalues are counted first (Sylvester), so that none is missed.
 
     Parameters
     ----------
@@ -248,7 +251,7 @@ _TOO_FAR_APART = (
 
 
 def _dominant(operator: Operator, start: FloatArray) -> tuple[FloatArray, float]:
-    """Lanczos with full reorthogonalisation: Ritz vector of the largest eigenvalue, and its residual's norm."""
+    """Lanczos with full reorthogonalisation: Ritz vector of the largest eigenvalue, and the norm of the residual."""
     n_steps = min(MAX_LANCZOS_STEPS, len(start))
     basis = np.zeros((n_steps, len(start)))
     diagonal, below = np.zeros(n_steps), np.zeros(n_steps)
@@ -275,7 +278,7 @@ def _dominant(operator: Operator, start: FloatArray) -> tuple[FloatArray, float]
 def _pseudo_inverse(graph: _WeightedEdges, labels: IndexArray) -> Operator:
     """b -> L⁺ b: conjugate gradients on edge-wise products, preconditioned by a grounded factorisation.
 
-    One step suffices while the weights are of one size: the factorisation is then as good as exact.
+    A single step suffices while the weights are of equal size: the factorisation is then as good as exact.
     """
     free = _ungrounded(labels)
     factor = _factorise(_restrict(graph.laplacian, free))

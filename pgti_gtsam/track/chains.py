@@ -1,4 +1,4 @@
-"""Chains of keyframes, the way along them, and what they connect, of a pose graph whose steps are marked."""
+"""Chains of keyframes, the way along chains, and the ties along chains, of a pose graph whose steps are marked."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ Pairs = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Track:
-    """Keyframes chain after chain, each in the order in which its sensor passed them, which is that of their keys.
+    """Keyframes chain after chain, each chain in the order of its keys, in which the sensor passed.
 
     Attributes
     ----------
     chain : (n,) int
-        Number of the chain that each keyframe is on. Chains are counted by their first keyframes; they need not be
+        Number of each keyframe's chain. Chains are counted by their first keyframes; they need not be
         contiguous.
     order : (n,) int
         The keyframes, chain after chain.
@@ -39,16 +39,16 @@ class Track:
 
 
 def closure_edges(pose_graph: PoseGraph) -> NDArray[np.bool_]:
-    """Which edges of a pose graph are loop closures, (m,): factors between keyframes that are no odometry."""
+    """The loop closures among the edges of a pose graph, (m,): factors between keyframes that are not odometry."""
     odometry = EdgeSource.ODOMETRY | EdgeSource.SKIP
     sources = pose_graph.edge_sources
     return np.asarray((sources & EdgeSource.BETWEEN > 0) & (sources & odometry == 0))
 
 
 def step_edges(pose_graph: PoseGraph) -> NDArray[np.bool_]:
-    """Which edges of a pose graph are steps of the track, (m,).
+    """The steps of the track among the edges of a pose graph, (m,).
 
-    Where none is marked as one, as in a pose graph made by hand, they are those between neighbours.
+    Without marked steps, as in a pose graph made by hand, the steps are the edges between neighbours.
     """
     steps = pose_graph.edge_sources & EdgeSource.ODOMETRY > 0
     if not steps.any():
@@ -59,7 +59,7 @@ def step_edges(pose_graph: PoseGraph) -> NDArray[np.bool_]:
 def track_of(pose_graph: PoseGraph) -> Track:
     """The track of a pose graph, from its edges that are marked as steps.
 
-    Where no edge is, as in a pose graph made by hand, all keyframes count as one chain.
+    Without marked edges, as in a pose graph made by hand, all keyframes count as one chain.
     """
     n, steps = len(pose_graph), pose_graph.edges[pose_graph.edge_sources & EdgeSource.ODOMETRY > 0]
     chain = chains_of(n, steps) if len(steps) else np.zeros(n, dtype=np.int64)
@@ -71,7 +71,14 @@ def track_of(pose_graph: PoseGraph) -> Track:
 
 
 def chains_of(n: int, steps: Pairs) -> NDArray[np.int64]:
-    """Number of the chain that each of n keyframes is on, (n,), counted by their first keyframes."""
+    """Number of the chain of each of n keyframes, (n,), counted by the first keyframes.
+
+    Parameters
+    ----------
+    n : int
+        Number of keyframes.
+    steps : (s, 2) int
+    """
     links = coo_array((np.ones(len(steps)), (steps[:, 0], steps[:, 1])), shape=(n, n))
     _, part = csgraph.connected_components(links, directed=False)
     _, first, number = np.unique(part, return_index=True, return_inverse=True)

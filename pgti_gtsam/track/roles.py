@@ -1,4 +1,4 @@
-"""What each factor between keyframes is to the track: a step, a skip or a loop closure."""
+"""The role of each factor between keyframes on the track: a step, a skip or a loop closure."""
 
 from __future__ import annotations
 
@@ -18,19 +18,20 @@ _NONE = np.empty((0, 2), dtype=np.int64)
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Roles:
-    """What ties are to the track.
+    """The roles of ties on the track.
 
     Attributes
     ----------
     is_step : (m,) bool
-        Ties of a keyframe to the next one of its chain.
+        Ties of a keyframe to the next keyframe of its chain.
     is_skip : (m,) bool
-        Ties over several steps of one chain that the way explains: they agree with the steps between, and either they
-        do not bring the sensor back to where it was, or all keyframes of the chain are tied to as many neighbours.
+        Ties over several steps of a chain that the way explains: the ties agree with the steps between, and either
+        do not bring the sensor back to an earlier position, or all keyframes of the chain are tied to as many
+        neighbours.
     chain : (n,) int
         As in `Track`.
     steps : (s, 2) int
-        The steps, i < j, sorted; what two keyframes both see among them.
+        The steps, i < j, sorted; pairs of keyframes with shared landmarks among them.
     """
 
     is_step: NDArray[np.bool_]
@@ -61,10 +62,10 @@ def roles(
     ties : sequence of m Tie
         All factors between keyframes.
     covisible : (k, 2) int, optional
-        Keyframes that see the same landmarks, i < j: those of neighbours are steps.
+        Keyframes that see the same landmarks, i < j: the pairs of neighbours are steps.
     held : (n,) bool, optional
-        Keyframes that other factors tie. One that is not, and that no step reaches, hangs on its nearest tie, which
-        is odometry, for want of any other.
+        Keyframes that other factors tie. A keyframe without such a factor, and without a step, hangs on its nearest
+        tie, which is odometry, for want of any other.
     closures : (m,) bool, optional
         Ties that are known to be loop closures. All others are odometry then.
 

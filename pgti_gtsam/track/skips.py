@@ -34,7 +34,18 @@ class Tie(NamedTuple):
 
 
 def explained(n: int, chain: NDArray[np.int64], steps: Sequence[Tie], ties: Sequence[Tie]) -> NDArray[np.bool_]:
-    """Which ties within chains the way along the steps explains, (k,)."""
+    """The ties that the way along the steps explains, (k,) bool.
+
+    Parameters
+    ----------
+    n : int
+        Number of keyframes.
+    chain : (n,) int
+        Chain of every keyframe.
+    steps : sequence of Tie
+    ties : (k,) sequence of Tie
+        Ties between keyframes of a chain.
+    """
     # ties that may be skips, by their places on the track
     order = np.argsort(chain, kind="stable")
     pairs = np.array([tie[:2] for tie in ties], dtype=np.int64).reshape(-1, 2)
@@ -90,7 +101,7 @@ def _reckoned(n: int, steps: Sequence[Tie]) -> tuple[list[gtsam.Pose3], NDArray[
 
 
 def _missed(tie: Tie, poses: Sequence[gtsam.Pose3]) -> tuple[float, float, float]:
-    """By how much a tie misses what the steps lead to, m and rad, and the distance that it measures, m."""
+    """Difference of a tie from the way along the steps, m and rad, and the distance that the tie measures, m."""
     measured = _spatial(tie.pose)
     missed = measured.between(poses[tie.first].between(poses[tie.second]))
     turned = np.linalg.norm(gtsam.Rot3.Logmap(missed.rotation()))

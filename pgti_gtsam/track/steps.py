@@ -1,4 +1,4 @@
-"""Steps of a track: which pairs of keyframes lead from each keyframe to the next one of its robot."""
+"""Steps of a track: the pairs of keyframes that lead from each keyframe to the next keyframe of its robot."""
 
 from __future__ import annotations
 
@@ -20,7 +20,19 @@ LEAST_DENSE = 3
 
 
 def steps_among(keys: NDArray[np.uint64], measured: Pairs, covisible: Pairs, held: NDArray[np.bool_]) -> Pairs:
-    """Steps among pairs that factors tie and pairs that see the same, (s, 2), sorted."""
+    """Steps among pairs that factors tie and pairs that see the same, (s, 2), sorted.
+
+    Parameters
+    ----------
+    keys : (n,) uint64
+        Keys of the keyframes, ascending.
+    measured : (k, 2) int
+        Pairs that factors tie.
+    covisible : (l, 2) int
+        Pairs with shared landmarks.
+    held : (n,) bool
+        Keyframes that other factors tie.
+    """
     # pairs of one robot, but for those that two chains running through each other outvote where neighbours are rare
     n, robots = len(keys), keys >> np.uint64(56)
     codes = np.unique(codes_of(np.concatenate([measured, covisible]), n))
@@ -53,7 +65,7 @@ def steps_among(keys: NDArray[np.uint64], measured: Pairs, covisible: Pairs, hel
 
 
 def _nearest(n: int, pairs: Pairs) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """The first later and the last earlier keyframe that each is tied to, (n,) each; n and −1 where there is none."""
+    """The first later and the last earlier keyframe tied to each keyframe, (n,) each; n and −1 where none is."""
     later, earlier = np.full(n, n), np.full(n, -1)
     np.minimum.at(later, pairs[:, 0], pairs[:, 1])
     np.maximum.at(earlier, pairs[:, 1], pairs[:, 0])
@@ -61,15 +73,15 @@ def _nearest(n: int, pairs: Pairs) -> tuple[NDArray[np.int64], NDArray[np.int64]
 
 
 def _are_nearest(n: int, pairs: Pairs) -> NDArray[np.bool_]:
-    """Pairs of which each is the other's nearest."""
+    """Pairs of keyframes that are each other's nearest."""
     later, earlier = _nearest(n, pairs)
     return np.asarray((later[pairs[:, 0]] == pairs[:, 1]) & (earlier[pairs[:, 1]] == pairs[:, 0]))
 
 
 def _contested(n: int, pairs: Pairs) -> NDArray[np.bool_]:
-    """Pairs (i, j) between two chains: the one goes on from i past j, the other came to j from before i.
+    """Pairs (i, j) between two chains: one chain goes on from i past j, the other came to j from before i.
 
-    Without the pair p, which has no nearer one, leads to j, and i to q, which has no nearer one: p < i < j < q.
+    Without the pair p, which has no nearer keyframe, leads to j, and i to q, likewise: p < i < j < q.
     """
     later, earlier = _nearest(n, pairs)
     lowest, highest = np.full(n, n), np.full(n, -1)
@@ -82,7 +94,7 @@ def _contested(n: int, pairs: Pairs) -> NDArray[np.bool_]:
 
 
 def _crossed(n: int, hops: Pairs) -> NDArray[np.bool_]:
-    """Hops (i, j) that another one crosses: it leads from between i and j to beyond, or from before to between."""
+    """Hops (i, j) that another hop crosses: from between i and j to beyond, or from before to between."""
     i, j = hops.T
     end, start = np.full(n, -1), np.full(n, n)
     end[i], start[j] = j, i
@@ -94,7 +106,17 @@ def _crossed(n: int, hops: Pairs) -> NDArray[np.bool_]:
 
 
 def dense_to(chain: NDArray[np.int64], pairs: Pairs, ends: Pairs) -> NDArray[np.int64]:
-    """For each chain, up to how many keyframes away all are tied to their neighbours as a matter of course, (c,)."""
+    """For each chain, the number of neighbours to which all keyframes are tied as a matter of course, (c,).
+
+    Parameters
+    ----------
+    chain : (n,) int
+        Chain of every keyframe.
+    pairs : (k, 2) int
+        Ties.
+    ends : (l, 2) int
+        Pairs of ends of skips.
+    """
     _, first = np.unique(ends, axis=0, return_index=True)
     on, gaps = chain[pairs[first, 0]], np.diff(ends[first], axis=1)[:, 0]
     sizes = np.bincount(chain)

@@ -1,4 +1,4 @@
-"""The list of formats: a new one is a module with ``FORMAT``, and a place in this list."""
+"""The list of formats: a new format is a module with ``FORMAT``, and an entry in this list."""
 
 from pgti_gtsam.datasets.formats import (
     bal,

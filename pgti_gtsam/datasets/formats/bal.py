@@ -1,4 +1,4 @@
-"""Bundle adjustment in the large (BAL): cameras, points and the pixels of the points in one text file.
+"""Bundle adjustment in the large (BAL): cameras, points and the pixels of the points in a text file.
 
 ``cameras points observations``, then ``camera point x y`` for every observation, then nine numbers a camera (Rodrigues
 vector, translation, both from world to camera, focal length and two distortions) and three a point (Agarwal et al.,
@@ -23,12 +23,13 @@ FLIP = gtsam.Rot3.Rx(np.pi)  # from a camera that looks along z to one that look
 
 
 def parse(source: Source) -> Dataset:
-    """Cameras, points and sightings; images need not be in the order of time, so nothing else ties them.
+    """Cameras, points and sightings; images need not be in the order of time, so nothing else ties the cameras.
 
     Raises
     ------
     FileFormatError
-        A malformed line, more or fewer numbers than the first line announces, or an observation of what is not there.
+        A malformed line, more or fewer numbers than the first line announces, or an observation of an unknown camera or
+        point.
     """
     file = source.file
     n_cameras, n_points, n_seen = map(int, source.first)

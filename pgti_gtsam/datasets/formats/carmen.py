@@ -1,8 +1,8 @@
 """CARMEN logs: a raw laser log to a pose graph.
 
 Scans are ``FLASER`` or, in newer logs, ``ROBOTLASER1`` messages (see `scans`). A scan becomes a keyframe where
-the robot has moved far enough since the last one. Odometry between keyframes is the log's, its sigmas are
-assumed. Beside ``NAME.clf`` may lie ``NAME.relations``, whose long-range ones become closures that are known to be
+the robot has moved far enough since the last keyframe. Odometry between keyframes is the log's, with sigmas
+assumed. Beside ``NAME.clf`` may lie ``NAME.relations``; long-range relations become closures that are known to be
 true (see `relations`).
 """
 
@@ -40,7 +40,7 @@ def parse(source: Source, *, step_m: float = 0.5, step_rad: float = 0.5) -> Data
     ----------
     source : Source
     step_m, step_rad : float
-        A scan becomes a keyframe when the robot has travelled so far, or turned so much, since the last one;
+        A scan becomes a keyframe when the robot has travelled so far, or turned so much, since the last keyframe;
         the ends of closures do so in any case. Keyframes are numbered from 0.
 
     Raises
@@ -87,7 +87,7 @@ def parse(source: Source, *, step_m: float = 0.5, step_rad: float = 0.5) -> Data
 
 
 def _choose_keyframes(scans: Sequence[Scan], step_m: float, step_rad: float, wanted: Collection[int]) -> list[int]:
-    """Indices of the first scan, of the wanted ones, and of those far enough behind the keyframe before."""
+    """Indices of the first scan, of the wanted scans, and of scans far enough behind the keyframe before."""
     robot = np.array([scan.robot for scan in scans])
     moved = np.diff(robot, axis=0, prepend=robot[:1])
     travelled = np.cumsum(np.hypot(moved[:, 0], moved[:, 1])).tolist()
@@ -102,7 +102,7 @@ def _choose_keyframes(scans: Sequence[Scan], step_m: float, step_rad: float, wan
 
 
 def _entries(relations: Iterable[Relation], sigmas: Sequence[float], lines: Sequence[int]) -> list[Entry]:
-    """Between factors of relations between keyframes, each at the line of its later scan."""
+    """Between factors of relations between keyframes, each at the line of the later scan."""
     model = gtsam.noiseModel.Diagonal.Sigmas(np.array(sigmas))
     return [Entry(lines[max(i, j)], (i, j), gtsam.BetweenFactorPose2(i, j, pose, model)) for i, j, pose in relations]
 
@@ -115,7 +115,7 @@ def _radii(scans: Sequence[Scan], chosen: Sequence[int]) -> dict[int, float]:
 
 
 def _no_echo(scans: Sequence[Scan]) -> float:
-    """The log's largest reading, which stands for 'no echo', m."""
+    """The log's largest reading, the value for 'no echo', m."""
     return max(float(scan.ranges_m.max(initial=0.0)) for scan in scans)
 
 

@@ -1,7 +1,7 @@
 """COLMAP sparse models, binary or text: the poses of ``images`` and the tracks of ``points3D``.
 
-Named is the folder (or one above ``sparse/0``) or one of the two files. A pose is a quaternion w, x, y, z and a
-translation from world to camera. Images need not be in the order of time, so that nothing but covisibility ties them.
+The path names the folder (or a folder above ``sparse/0``) or either file. A pose is a quaternion w, x, y, z and a
+translation from world to camera. Images need not be in the order of time: only covisibility ties the images.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class Points(NamedTuple):
 
 
 def parse(source: Source) -> Dataset:
-    """Keyframes, points and sightings of a model; scale and metres are its own.
+    """Keyframes, points and sightings of a model, at the model's own scale.
 
     Raises
     ------
@@ -82,7 +82,7 @@ def _binary_points(path: Path) -> Points:
 
 
 def _text_images(path: Path) -> dict[int, gtsam.Pose3]:
-    """Every other line is a pose; the lines between, which may be empty, hold its pixels."""
+    """Every other line is a pose; the lines between, possibly empty, hold the pixels."""
     numbered = enumerate(read_text(path).split("\n"), 1)
     lines = [Line(number, text) for number, text in numbered if not text.startswith("#")]
     file, poses = TextFile(path=path, lines=(), tags={}), {}
@@ -120,7 +120,7 @@ def _camera(numbers: list[float]) -> gtsam.Pose3:
 
 
 def _model(source: Source) -> tuple[Path, str]:
-    """Folder and ending of a model; an empty ending where there is none."""
+    """Folder and ending of a model; an empty ending where no model is."""
     below = (".", "0", "sparse", "sparse/0")
     folders = [source.path / name for name in below] if source.is_folder else [source.path.parent]
     if not source.is_folder and source.path.stem not in ("images", "points3D"):

@@ -1,8 +1,8 @@
 """Scan graphs of FLIRTLib: optimised vertices, edges, and the laser scan of every vertex.
 
-``VERTEX2 id x y θ``, each followed by its ``ROBOTLASER1`` scan, then ``EDGE2`` lines in TORO's order of
+``VERTEX2 id x y θ``, each followed by a ``ROBOTLASER1`` scan, then ``EDGE2`` lines in TORO's order of
 information under the comments ``#SEQUENTIAL EDGES`` and, behind these, ``#LOOP EDGES``. The radius of a vertex is the
-smallest range of its scan. The scanner of the two published logs sees 180° only: nothing is known of what lies behind.
+smallest range of its scan. The scanner of the two published logs sees 180° only: nothing is known of the space behind.
 """
 
 from __future__ import annotations

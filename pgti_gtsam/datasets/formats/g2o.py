@@ -1,4 +1,4 @@
-"""g2o text files, planar and spatial, with landmarks, in the dialects of the programs that write them.
+"""g2o text files, planar and spatial, with landmarks, in the dialects of the writing programs.
 
 Edges: ``EDGE_SE2``, ``EDGE_SE3:QUAT``, the same with a switch or a weight in front of the measurement (Vertigo, also
 written by RTAB-Map), between sensors that sit off their bodies (``EDGE_SE3_OFFSET``), of cameras (see `g2o_cameras`),
@@ -73,7 +73,7 @@ def parse(source: Source) -> Dataset:
 
 
 def pose_vertices(file: TextFile) -> dict[int, Pose]:
-    """Stored poses by key; raises what `parse` does of their lines."""
+    """Stored poses by key; raises as `parse` does."""
     poses: dict[int, Pose] = {}
     for tag, width in POSES.items():
         if tag not in file.tags:
@@ -93,7 +93,7 @@ def positions(file: TextFile) -> list[Entry]:
 
 
 def _names(values: gtsam.Values, poses: Set[int], shift: int) -> dict[int, str]:
-    """Identifiers by key, where those of poses are not the numbers that keys would be taken for."""
+    """Identifiers by key, where the identifiers of poses differ from the keys."""
     if not shift and max(poses, default=0) >> LETTER == 0:
         return {}
     keys = values.keys()

@@ -2,7 +2,7 @@
 
 ``graph.txt`` says ``num_submaps: n`` and ``matching_cost TYPE i j`` for every pair of submaps whose point clouds are
 registered; ``000000/data.txt`` holds ``T_world_origin:`` and the four rows of a matrix. The factors themselves
-are point clouds (``graph.bin`` holds only those that GTSAM can write): a tie measures here what the map says.
+are point clouds (``graph.bin`` holds only the factors that GTSAM can write): a tie measures here the map's own pose.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ SIGMAS = np.array([0.01, 0.01, 0.01, 0.05, 0.05, 0.05])  # assumed: rad and m, a
 
 
 def parse(source: Source) -> Dataset:
-    """Submaps as keyframes, ties from one to the next and where they are matched.
+    """Submaps as keyframes, ties from each submap to the next and between matched submaps.
 
     Raises
     ------

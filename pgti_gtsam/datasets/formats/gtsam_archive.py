@@ -1,8 +1,8 @@
 """GTSAM's own archives, text or XML: a serialised NonlinearFactorGraph, and its Values in a second file.
 
-A C++ pipeline writes them with ``gtsam::serializeToFile(graph, "graph.txt")`` or ``serializeToXMLFile`` and Python with
-``open("graph.txt", "w").write(graph.serialize())``; the same for values. Python's GTSAM reads text alone, so XML is
-brought into text: both hold the same tokens in the same order. Binary archives say nothing of what their bytes mean.
+A C++ pipeline writes archives with ``gtsam::serializeToFile(graph, "graph.txt")`` or ``serializeToXMLFile`` and Python
+with ``open("graph.txt", "w").write(graph.serialize())``; the same for values. Python's GTSAM reads text alone, so XML
+is brought into text: both hold the same tokens in the same order. Binary archives do not describe their bytes.
 """
 
 from __future__ import annotations
@@ -85,7 +85,13 @@ def read_values(path: Path) -> gtsam.Values:
 
 
 def write_archive(written: gtsam.NonlinearFactorGraph | gtsam.Values, path: Path) -> None:
-    """Write a graph or values as ``gtsam::deserializeFromFile`` reads them; empty slots stay empty slots."""
+    """Write a graph or values as ``gtsam::deserializeFromFile`` reads them; empty slots stay empty slots.
+
+    Parameters
+    ----------
+    written : gtsam.NonlinearFactorGraph or gtsam.Values
+    path : Path
+    """
     outputs.write_text(path, written.serialize())
 
 
@@ -120,7 +126,7 @@ def _from_xml(path: Path, text: str) -> str:
 
 
 def _add_tokens(element: ElementTree.Element, tokens: list[str]) -> None:
-    """What a text archive writes for an element: its class where a pointer names it, tracking, version, identity."""
+    """Append the text before an element of a text archive: class if a pointer names it, tracking, version, identity."""
     named = element.get("class_name")
     if named is not None:
         tokens += [element.get("class_id", ""), str(len(named)), named]

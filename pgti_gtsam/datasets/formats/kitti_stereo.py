@@ -29,7 +29,7 @@ ORTHONORMAL = 1e-3  # the files write six digits; what departs more is no rotati
 
 
 def parse(source: Source) -> Dataset:
-    """Stereo factors, and odometry from the camera poses beside them.
+    """Stereo factors, and odometry from the stored camera poses.
 
     Cameras have the keys ``symbol("x", i)``, landmarks ``symbol("l", j)``. A landmark is put where its first
     observation sees it from the stored pose of its camera.
@@ -85,7 +85,7 @@ def _sibling(file: TextFile, kind: str) -> Path:
 
 
 def _camera_poses(path: Path) -> dict[int, gtsam.Pose3]:
-    """Poses by camera, ascending, their rotations brought from six digits to the nearest rotation."""
+    """Poses by camera, ascending, with rotations brought from six digits to the nearest rotation."""
     file = read_lines(path)
     table = file.rows(ids=1, widths=[16])
     matrices = table.numbers.reshape(-1, 4, 4)

@@ -1,7 +1,8 @@
 """ORB-SLAM as text: a keyframe trajectory (TUM), and the map points that each keyframe sees.
 
 ``MapPointsInKeyFrames.txt`` lies beside the trajectory: a keyframe's timestamp, then x, y, z of every point. Points
-have no identifiers: those of equal coordinates are one. Behind a pose may stand its matrix, which says the same.
+have no identifiers: points of equal coordinates are the same. Behind a pose may stand its matrix, with the same
+content.
 """
 
 from __future__ import annotations
@@ -47,7 +48,7 @@ def parse(source: Source) -> Dataset:
 
 
 def _points(file: TextFile, times: dict[float, int]) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Keys (n,) and positions (n, 3) of what keyframes see."""
+    """Keys (n,) and positions (n, 3) of the points that keyframes see."""
     keys, places = [], []
     for line in file.lines:
         time, *numbers = parse_numbers(file, line, line.fields)

@@ -1,6 +1,6 @@
 """RTAB-Map databases (``.db``, SQLite): nodes are keyframes, links are odometry, closures or sightings of tags.
 
-Sessions (``map_id``) are told by the letter of their keys where there are several. See `rtabmap_database`.
+Several sessions (``map_id``) are told apart by the letter of the keys. See `rtabmap_database`.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ KINDS = {**NEIGHBOURS, LANDMARK: "sightings of tags", 5: "virtual links left out
 
 
 def parse(source: Source) -> Dataset:
-    """The graph of a database, its closures told by the types of its links.
+    """The graph of a database; the types of the links tell the closures.
 
     Raises
     ------

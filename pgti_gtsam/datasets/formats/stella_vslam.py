@@ -1,7 +1,7 @@
 """Maps of stella_vslam and OpenVSLAM (``.msg``, MessagePack): keyframes, landmarks and the graph between keyframes.
 
 A keyframe holds its pose from world to camera (``rot_cw`` a quaternion x, y, z, w, ``trans_cw``), the landmark of every
-keypoint (``lm_ids``, −1 for none), its parent in the spanning tree and the keyframes to which it closed a loop.
+keypoint (``lm_ids``, −1 for none), its parent in the spanning tree and the keyframes of its loop edges.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ NAME = "stella_vslam map"
 
 
 def parse(source: Source) -> Dataset:
-    """Keyframes, landmarks and the graph between keyframes: its tree are ties, its loop edges closures.
+    """Keyframes, landmarks and the graph between keyframes: the tree gives ties, the loop edges closures.
 
     Raises
     ------
     FileFormatError
-        A file that is cut off, or without what a map of stella_vslam holds.
+        A file that is cut off, or lacks parts of a stella_vslam map.
     """
     try:
         content = msgpack.unpackb(source.data, strict_map_key=False)

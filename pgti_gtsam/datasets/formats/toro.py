@@ -1,12 +1,12 @@
-"""TORO ``.graph`` files and their iSAM relatives, planar and spatial.
+"""TORO ``.graph`` files and iSAM relatives, planar and spatial.
 
 ``VERTEX2 id x y θ``, ``EDGE2 i j x y θ I11 I12 I22 I33 I13 I23`` (TORO) or ``I11 I12 I13 I22 I23 I33`` (iSAM
-and others): the order is the one in which all matrices of the file are positive semidefinite, TORO's first.
+and others): the order is the first in which all matrices of the file are positive semidefinite, TORO's order first.
 ``VERTEX3 id x y z roll pitch yaw``, ``EDGE3 i j x y z roll pitch yaw`` with nothing or the upper triangle of
-the information behind it, translation before rotation (GTSAM's reader does not swap them; the g2o version of
-``sphere2500`` shows that it should). ``BR pose landmark bearing range σ_bearing σ_range`` is a landmark.
+the information behind the measurement, translation before rotation (GTSAM's reader does not swap the two; the g2o
+version of ``sphere2500`` shows the swap). ``BR pose landmark bearing range σ_bearing σ_range`` is a landmark.
 ``EQUIV i j`` says that two poses lie in one grid cell, up to a cell's width apart (1.05 m in ``w100.graph``),
-and each has its own EDGE2: it adds no measurement and is ignored.
+and each has an EDGE2 of its own: the line adds no measurement and is ignored.
 """
 
 from __future__ import annotations

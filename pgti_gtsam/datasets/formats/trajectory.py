@@ -1,8 +1,8 @@
 """Trajectories: TUM (``timestamp x y z qx qy qz qw``) and KITTI (the 4x4 of a pose by rows, or its upper 3x4).
 
-Most SLAM programs write one of the two. They hold no edges: consecutive poses are tied with assumed sigmas. Loops come
-in a second file, ``i j`` or ``timestamp timestamp``, and behind it the pose of the second from the first where it is
-known: ``x y θ``, ``x y z qx qy qz qw`` or a 3x4 by rows. A loop without a pose measures what the trajectory says.
+Most SLAM programs write either. Trajectories hold no edges: consecutive poses are tied with assumed sigmas. Loops come
+in a second file, ``i j`` or ``timestamp timestamp``, and behind the pair the pose of the second from the first where
+known: ``x y θ``, ``x y z qx qy qz qw`` or a 3x4 by rows. A loop without a pose measures the trajectory's own pose.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ def parse(source: Source) -> Dataset:
     Raises
     ------
     FileFormatError
-        A malformed line, a pose that is no rigid motion, a loop to a pose that is not there.
+        A malformed line, a pose that is no rigid motion, a loop to an unknown pose.
     """
     file = source.file
     is_tum = len(source.first) == 8
@@ -65,6 +65,14 @@ def parse(source: Source) -> Dataset:
 def matrix_poses(file: TextFile, table: Table, before: int = 0) -> list[gtsam.Pose3]:
     """Poses of rows that hold, behind ``before`` other numbers, a 3x4 matrix by rows.
 
+    Parameters
+    ----------
+    file : TextFile
+        Named in errors.
+    table : Table
+    before : int
+        Numbers before the matrix.
+
     Raises
     ------
     FileFormatError
@@ -82,7 +90,7 @@ def matrix_poses(file: TextFile, table: Table, before: int = 0) -> list[gtsam.Po
 
 
 def _loops(path: Path, poses: Sequence[gtsam.Pose3], times: NDArray[np.float64], notes: list[str]) -> list[Entry]:
-    """Loop closures of a list, in its order; numbers may stand between commas, and there may be none."""
+    """Loop closures of a list, in order; numbers may stand between commas, and the list may be empty."""
     if not read_bytes(path).strip():
         notes.append(f"{path.name} is empty: it names no loop")
         return []

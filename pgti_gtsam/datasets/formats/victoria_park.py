@@ -3,8 +3,8 @@
 ``ODOMETRY i j x y θ C11 C12 C13 C22 C23 C33`` and ``LANDMARK pose tree x y C11 C12 C22``: metres, radians and
 COVARIANCES. That they are no information matrices shows in the wheel itself: ``victoriaPark_reduced_1k.g2o``
 writes 1e-4 as 100 and 0.4 as 1.581139, the inverse of the square root; GTSAM's reader takes both for
-covariances too. It holds a LANDMARK's covariance to be that at 10 m; here it is carried over to bearing and
-range exactly, at the range of each sighting.
+covariances too. That file holds a LANDMARK's covariance to be the covariance at 10 m; here the covariance is carried
+over to bearing and range exactly, at the range of each sighting.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ TAGS = {"ODOMETRY", "LANDMARK"}
 
 
 def parse(source: Source) -> Dataset:
-    """The graph of a Victoria Park file, its poses chained from the odometry.
+    """The graph of a Victoria Park file, with poses chained from the odometry.
 
     Raises
     ------
