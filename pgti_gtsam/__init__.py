@@ -18,7 +18,7 @@ from pgti_gtsam.integrity import BetaSplit, Distortion, Integrity, assess
 from pgti_gtsam.mend import Clouds, Mended, clouds_in, mend, scans_of
 from pgti_gtsam.new_ties import NewTie, best_revisits
 from pgti_gtsam.pose_graph import Adaptation, EdgeSource, PoseGraph
-from pgti_gtsam.replay import Measure, Moment, Replay, replay
+from pgti_gtsam.replay import Measure, Moment, Record, Replay, replay
 
 __version__ = version("pgti-gtsam")
 
@@ -45,6 +45,7 @@ __all__ = [
     "Place",
     "PoseGraph",
     "Proposal",
+    "Record",
     "Replay",
     "assess",
     "best_revisits",

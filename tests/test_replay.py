@@ -9,10 +9,12 @@ import gtsam
 import numpy as np
 import pytest
 from browser import dom_of_page, needs_chromium
+from streets import block, driven, straight
+from test_isam2 import started, step
 
 import pgti_gtsam as pgti
 from pgti_gtsam import datasets
-from pgti_gtsam.errors import FileFormatError, InvalidOptionError, MissingDependencyError
+from pgti_gtsam.errors import FileFormatError, MissingDependencyError, PgtiError
 from pgti_gtsam.pose_graph import EdgeSource
 from pgti_gtsam.replay import METRICS, Measure, lag, moment, replay_graph
 from pgti_gtsam.replay.growth import grown
@@ -171,7 +173,7 @@ def test_the_file_of_another_map_is_refused(tmp_path):
 
 def test_a_record_is_replayed_with_the_estimate_of_each_moment():
     """A hairpin whose way back lay apart at first, then in contact, then, once tied, apart again."""
-    out, graphs, estimates = [(x, 0.0) for x in range(8)], [], []
+    out, record = [(x, 0.0) for x in range(8)], []
     for offset, keyframes, tie in ((3.0, 12, False), (0.5, 14, False), (3.0, 16, True)):
         back = [(7.0 - k, offset) for k in range(keyframes - 8)]
         values, graph = gtsam.Values(), gtsam.NonlinearFactorGraph()
@@ -179,16 +181,58 @@ def test_a_record_is_replayed_with_the_estimate_of_each_moment():
             values.insert(key, gtsam.Pose2(x, y, 0))
         for i, j in [*((k, k + 1) for k in range(keyframes - 1)), *([(0, 15)] if tie else [])]:
             graph.add(gtsam.BetweenFactorPose2(i, j, gtsam.Pose2(1, 0, 0), NOISE))
-        graphs.append(graph)
-        estimates.append(values)
-    replay = pgti.replay(graphs, estimates, radii=0.5)
+        record.append((graph, values))
+    replay = pgti.replay(record, radii=0.5)
     assert replay.insertion_signal.tolist() == [False, True, False]
-    for found, graph, values in zip(replay.moments, graphs, estimates, strict=True):
+    for found, (graph, values) in zip(replay.moments, record, strict=True):
         fresh = pgti.assess(pgti.from_gtsam(graph, values, radii=0.5))
         assert found.score == pytest.approx(fresh.score, abs=1e-9)
         assert found.n_collisions == len(fresh.collision_edges)
-    with pytest.raises(InvalidOptionError, match="as many values as graphs"):
-        pgti.replay(graphs, estimates[:2])
+
+
+def test_what_is_no_record_is_refused():
+    graph, values = as_gtsam(eights(20))
+    for wrong in ([], [graph], [values], [(graph, values), (values, graph)], ["ab"]):
+        with pytest.raises(PgtiError, match="expected "):
+            pgti.replay(wrong, radii=0.5)
+    with pytest.raises(PgtiError, match="beside a record"):
+        pgti.replay([(graph, values)], values, radii=0.5)
+    with pytest.raises(PgtiError, match="moment 1 of the record"):
+        pgti.replay([(graph, values), (graph, gtsam.Values())], radii=0.5)
+    with pytest.raises(PgtiError, match="GatedISAM2"):
+        pgti.Record().note(graph)
+
+
+def test_a_gated_smoother_is_replayed_as_it_was(tmp_path):
+    """A lap and a bit: a false closure is kept out, a true one moves the map, and leaves again."""
+    world = driven(block(20, times=2) + straight(10), bias=0.002, noise=0.005)
+    lap, closures = 4 * 12, {53: (4, 30, gtsam.Pose2()), 55: (7, 55)}
+    isam, record, fresh = started(world, radii={0: 1.0}), pgti.Record(), []
+
+    def note():
+        record.note(isam)
+        fresh.append(pgti.assess(pgti.from_gtsam(isam.getFactorsUnsafe(), isam.estimate(), radii=isam.radii)))
+
+    for k in range(1, lap + 10):
+        offered = [world.closure(*closures[k])] if k in closures else []
+        update = isam.update(*step(world, k), offered, radii={k: 1.0})
+        assert [decision.accepted for decision in update.decisions] == [k == 55] * len(offered)
+        if k >= lap:
+            note()
+    isam.retract(1)
+    note()
+
+    replay = pgti.replay(record, path=tmp_path / "record.jsonl")
+    assert replay.curve("score") == pytest.approx([each.score for each in fresh], abs=1e-9)
+    collisions = replay.curve("n_collisions").tolist()
+    assert collisions == [len(each.collision_edges) for each in fresh]
+    assert collisions[54 - lap] > 0  # nothing tied, the false closure kept out
+    assert collisions[55 - lap] == 0
+    assert collisions[-1] > 0  # taken out again
+    moved = replay.moments[55 - lap].positions[:54] - replay.moments[54 - lap].positions[:54]
+    assert np.abs(moved).max() > 1e-3
+    again = pgti.replay(record, path=tmp_path / "record.jsonl")
+    assert again.curve("score").tolist() == replay.curve("score").tolist()
 
 
 @pytest.mark.parametrize("late", [-4, 0, 3])

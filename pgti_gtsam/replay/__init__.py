@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,14 +13,15 @@ from numpy.typing import NDArray
 
 from pgti_gtsam.adapter import from_gtsam
 from pgti_gtsam.checks import shown, whole
-from pgti_gtsam.errors import InvalidGraphError, InvalidOptionError
-from pgti_gtsam.pose_graph import PoseGraph
+from pgti_gtsam.errors import InvalidGraphError, InvalidOptionError, PgtiError
+from pgti_gtsam.pose_graph import PoseGraph, Radii
 from pgti_gtsam.replay.growth import Stage, grown, recorded, sizes
 from pgti_gtsam.replay.lag import Lag, lag
 from pgti_gtsam.replay.lines import appended, heading, known_moments
 from pgti_gtsam.replay.moment import METRICS, Measure, Moment, measured
+from pgti_gtsam.replay.record import Map, Record, checked_moments, radii_then
 
-__all__ = ["METRICS", "Lag", "Measure", "Moment", "Replay", "lag", "replay", "replay_graph"]
+__all__ = ["METRICS", "Lag", "Measure", "Moment", "Record", "Replay", "lag", "replay", "replay_graph"]
 
 Progress = Callable[[int, int], None]
 
@@ -55,9 +57,9 @@ class Replay:
 
 def replay(
     graph: Any,
-    values: Any,
+    values: Any = None,
     *,
-    radii: float | Mapping[int, float] | None = None,
+    radii: Radii | None = None,
     edges: Collection[str] | None = None,
     min_shared_landmarks: int | None = None,
     closures: Collection[int] | None = None,
@@ -69,15 +71,17 @@ def replay(
     """Measure a map while its graph grows, in the order of the keys (section 6.2, Fig. 4 and 5 of the paper).
 
     A finished map is grown with its final estimate: at each moment what `assess` finds on the graph of the first
-    keyframes, with all their edges and radii. A record of the pipeline, a sequence of graphs and one of values, is
-    replayed as it was estimated at each moment.
+    keyframes, with all their edges and radii. A pipeline's own record is replayed with the graph and the estimate that
+    it had at each moment.
 
     Parameters
     ----------
-    graph : gtsam.NonlinearFactorGraph, or a sequence of them
-    values : gtsam.Values, or a sequence of as many
+    graph : gtsam.NonlinearFactorGraph, Record, or sequence of (graph, values)
+        A map; or a record, one map a moment.
+    values : gtsam.Values, optional
+        The estimate of a map; a record has its own.
     radii, edges, min_shared_landmarks, closures
-        As `from_gtsam` takes them.
+        As `from_gtsam` takes them. Of radii by key a moment has those of its keyframes; a `Record` brings its own.
     every : int
         Keyframes between two moments; the last moment is the whole graph. A record has the moments that it has.
     measure : Measure, optional
@@ -93,35 +97,29 @@ def replay(
 
     Raises
     ------
-    InvalidOptionError
-        `every` below one, or as many values as there are graphs do not come.
+    InvalidOptionError, InvalidGraphError
+        `every` below one; a record without a moment, or of other things than pairs of graph and values.
     FileFormatError
         The file at `path` is no replay of this map.
     PgtiError
         Those of `from_gtsam`.
     """
-    options: dict[str, Any] = {
-        "radii": radii,
-        "edges": edges,
-        "min_shared_landmarks": min_shared_landmarks,
-        "closures": closures,
-    }
     whole(every, "every", least=1)
     if not isinstance(measure, Measure | None) or not isinstance(path, str | Path | None):
         raise InvalidOptionError(f"expected a Measure and a path, got {shown(measure)} and {shown(path)}")
-
-    # one graph, grown; or a record of graphs
     how, file = measure or Measure(), None if path is None else Path(path)
+    adapt = partial(from_gtsam, edges=edges, min_shared_landmarks=min_shared_landmarks, closures=closures)
+
+    # one graph, grown
     if not isinstance(graph, Sequence):
-        pose_graph = from_gtsam(graph, values, **options)
-        return _grown(pose_graph, every, how, file, progress)
-    if not isinstance(values, Sequence):
-        raise InvalidGraphError(f"expected as many gtsam.Values as graphs, in a list, got {shown(values)}")
-    if len(graph) != len(values) or not len(graph):
-        raise InvalidOptionError(f"expected as many values as graphs, one or more, got {len(values)} and {len(graph)}")
-    record = [from_gtsam(one, estimate, **options) for one, estimate in zip(graph, values, strict=True)]
-    first = heading(record, list(map(len, record)), how)
-    return Replay(pose_graph=record[-1], moments=_moments(recorded(record), len(record), how, first, file, progress))
+        return _grown(adapt(graph, values, radii=radii), every, how, file, progress)
+
+    # or a record of graphs
+    checked_moments(graph)
+    if values is not None:
+        raise InvalidGraphError(f"expected no values beside a record, which has its own, got {shown(values)}")
+    known = graph.radii if radii is None and isinstance(graph, Record) else radii
+    return _replayed(graph, lambda one, then: adapt(one, then, radii=radii_then(known, then)), how, file, progress)
 
 
 def replay_graph(
@@ -137,9 +135,30 @@ def replay_graph(
 
 def _grown(pose_graph: PoseGraph, every: int, measure: Measure, path: Path | None, progress: Progress | None) -> Replay:
     wanted = sizes(len(pose_graph), every)
-    first = heading([pose_graph], wanted, measure)
+    first = {} if path is None else heading([pose_graph], wanted, measure)
     moments = _moments(grown(pose_graph, wanted), len(wanted), measure, first, path, progress)
     return Replay(pose_graph=pose_graph, moments=moments)
+
+
+def _replayed(
+    record: Sequence[Map],
+    adapt: Callable[[Any, Any], PoseGraph],
+    measure: Measure,
+    path: Path | None,
+    progress: Progress | None,
+) -> Replay:
+    """Replay a record. One moment is adapted at a time: all of them would be the map many times over."""
+
+    def adapted(number: int) -> PoseGraph:
+        try:
+            return adapt(*record[number])
+        except PgtiError as error:
+            raise type(error)(f"{error} (moment {number} of the record, counted from 0)") from error
+
+    numbers = range(len(record))
+    first = {} if path is None else heading(map(adapted, numbers), [], measure)
+    moments = _moments(recorded(map(adapted, numbers)), len(record), measure, first, path, progress)
+    return Replay(pose_graph=adapted(numbers[-1]), moments=moments)
 
 
 def _moments(

@@ -6,7 +6,7 @@ import base64
 import hashlib
 import json
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, fields
 from importlib.metadata import version
@@ -24,7 +24,7 @@ SCHEMA, SCHEMA_VERSION = "pgti-gtsam/replay", 1
 _ARRAYS = ("keyframe_scores", "positions")
 
 
-def heading(pose_graphs: Sequence[PoseGraph], sizes: Sequence[int], measure: Measure) -> dict[str, Any]:
+def heading(pose_graphs: Iterable[PoseGraph], sizes: Sequence[int], measure: Measure) -> dict[str, Any]:
     """The first line: the format, how the graph is measured, and a digest of the graphs and of the moments' sizes."""
     digest = hashlib.sha256(np.array(sizes, dtype=np.int64).tobytes())
     for each in pose_graphs:
