@@ -1,9 +1,9 @@
 """Pose-graph optimisation seen as heat diffusion (section 4 of the paper, Eq. 8 to 12).
 
 `linearise` stacks the Jacobian of a factor graph in GTSAM's frame, `in_space` in the paper's;
-`normal_equations` gives H and g, of which `row_defects` measures how far H is from a block Laplacian;
+`normal_equations` gives H and g; `row_defects` measures how far H is from a block Laplacian;
 `heat_flow` follows dδ/dt = −Hδ − g; `compare` asks how well PGTI's scalar Laplacian stands for H; `study`
-does all of it.
+runs all of these.
 """
 
 from pgti_gtsam.diffusion.block_laplacian import (

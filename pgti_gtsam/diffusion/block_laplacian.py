@@ -1,10 +1,10 @@
-"""The normal matrix H = JᵀΩJ of a pose graph as a block Laplacian: where it is one, and how far it is from one.
+"""The normal matrix H = JᵀΩJ of a pose graph as a block Laplacian, and its distance from a block Laplacian.
 
-A matrix of d × d blocks is a block Laplacian when every block row sums to zero: what stands on the diagonal is
-what leaves for the neighbours, so a field that is the same at all vertices stays as it is. For H that is
-invariance: if moving all poses alike changes no error, H annihilates that motion. In the spatial frame it
+A matrix of d × d blocks is a block Laplacian when every block row sums to zero: the diagonal is the sum of the
+flow to the neighbours, so a field that is the same at all vertices stays. For H that is
+invariance: if moving all poses alike changes no error, H annihilates that motion. In the spatial frame the motion
 moves all poses by the same δ and block rows sum to zero. In the body frame the same motion is Ad(p_i⁻¹) δ,
-different at every vertex, and they do not.
+different at every vertex, and the rows do not sum to zero.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class NormalEquations:
     gradient : (n d,) float
         g = JᵀΩe.
     constant : float
-        Half the squared error that stays at δ = 0, other variables at their best.
+        Half the squared error at δ = 0, with other variables at their best.
     dimension : int
         d.
     frame : {"body", "spatial"}
@@ -63,12 +63,12 @@ class NormalEquations:
 
 
 def normal_equations(linearisation: Linearisation) -> NormalEquations:
-    """Normal equations of the poses; whatever else the factors hold is marginalised.
+    """Normal equations of the poses; all other variables are marginalised.
 
     H = H_pp − H_pl H_ll⁺ H_lp, g = g_p − H_pl H_ll⁺ g_l, the Schur complement. The pseudo-inverse is exact
-    for what the factors leave open (a landmark that one bearing saw), since H_lp has no share in it.
+    for directions that the factors leave open (a landmark with a single bearing), since H_lp has no share there.
 
-    What it does to the Laplacian: block rows still sum to zero in the spatial frame, because moving the whole map
+    Effect on the Laplacian: block rows still sum to zero in the spatial frame, because moving the whole map
     still changes no error. All poses that saw a landmark become neighbours of each other. The off-diagonal blocks
     are symmetric positive semidefinite "conductances" for factors between poses, and are no longer so in general
     after marginalising (`weight_asymmetry`).
@@ -136,7 +136,7 @@ def row_defects(equations: NormalEquations) -> NDArray[np.float64]:
     max over a, b of |Σ_j H_ij|_ab / √((H_ii)_aa (H_ii)_bb). Rows and columns are compared with their own diagonal
     entries, so radians and metres do not mix, and another unit of either changes nothing; nor does a distant
     origin, which makes the rotational entries of the spatial frame large. Zero at the vertices of a block
-    Laplacian, 1 at one that nothing but a prior holds, zero at one without a factor.
+    Laplacian, 1 at a vertex that only a prior ties, zero at a vertex without a factor.
     """
     n, d = equations.n_vertices, equations.dimension
     sums = np.asarray(equations.hessian @ np.tile(np.eye(d), (n, 1))).reshape(n, d, d)

@@ -1,7 +1,7 @@
-"""The heat flow dδ/dt = −H δ − g of Eq. 9 and 12, at any times, and where it ends.
+"""The heat flow dδ/dt = −H δ − g of Eq. 9 and 12, at any times, and its end.
 
 With δ_∞ a solution of H δ = −g, the flow from δ_0 is δ(t) = δ_∞ + e^(−tH) (δ_0 − δ_∞). Where H is singular,
-what lies in its null space stays as it was; g has no part in it. The exponential comes from the eigenmodes
+the part in the null space does not change; g has no part there. The exponential comes from the eigenmodes
 of small systems, else at short times from `scipy.sparse.linalg.expm_multiply`, and at long ones from
 resolvents (`spectral.poles`), as the number of products that expm_multiply needs grows with t ‖H‖.
 """
@@ -53,7 +53,14 @@ class Modes:
     vectors: FloatArray
 
     def exponential(self, vectors: FloatArray, times: FloatArray) -> FloatArray:
-        """e^(−tH) v, (n_times, N, k), of vectors (N, k)."""
+        """e^(−tH) v, (n_times, N, k), of vectors (N, k).
+
+        Parameters
+        ----------
+        vectors : (N, k) float
+        times : (n_times,) float
+            Not negative.
+        """
         inside = self.vectors.T @ vectors
         return np.stack([self.vectors @ (np.exp(-t * self.eigenvalues)[:, None] * inside) for t in times])
 
@@ -65,7 +72,16 @@ def modes(matrix: sparse.csr_array) -> Modes:
 
 
 def exponential(matrix: sparse.csr_array, vectors: FloatArray, times: FloatArray) -> FloatArray:
-    """e^(−tH) v of vectors (N, k) at times (n_times,), not negative: (n_times, N, k)."""
+    """e^(−tH) v of vectors (N, k) at times (n_times,), not negative: (n_times, N, k).
+
+    Parameters
+    ----------
+    matrix : sparse.csr_array
+        H, (N, N).
+    vectors : (N, k) float
+    times : (n_times,) float
+        Not negative.
+    """
     if matrix.shape[0] <= MODES_UP_TO:
         return modes(matrix).exponential(vectors, times)
     norm = float(abs(matrix).sum(axis=0).max())
@@ -95,7 +111,7 @@ def factorised(matrix: sparse.csc_array) -> Any:
     Raises
     ------
     UnsolvableGraphError
-        It is singular.
+        The matrix is singular.
     """
     try:
         return splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
@@ -192,7 +208,16 @@ class HeatFlow:
 def heat_flow(
     equations: NormalEquations, start: FloatArray | None = None, steady: FloatArray | None = None
 ) -> HeatFlow:
-    """Heat flow of a grounded graph; `steady` where it is known, from `start`, zero when left out."""
+    """Heat flow of a grounded graph.
+
+    Parameters
+    ----------
+    equations : NormalEquations
+    start : (N,) float, optional
+        δ at time zero; zero when left out.
+    steady : (N,) float, optional
+        The steady state, where already known.
+    """
     ending = steady_state(equations) if steady is None else steady
     return HeatFlow(equations=equations, steady=ending, start=np.zeros(len(ending)) if start is None else start)
 
@@ -220,14 +245,14 @@ def relative_consensus(
     measured : (m, k) float
         z_ij, what x_i − x_j should be.
     weights : (m,) float, optional
-        ω_ij of Eq. 6; one when left out.
+        ω_ij of Eq. 6; 1 when left out.
     held : int, optional
-        A vertex held at x = 0 with weight one, so that the steady state is unique.
+        A vertex tied to x = 0 with weight 1, so that the steady state is unique.
 
     Returns
     -------
     NormalEquations
-        With H = CᵀWC ⊗ 1_k: k copies of one scalar Laplacian.
+        With H = CᵀWC ⊗ 1_k: k copies of a scalar Laplacian.
     """
     pairs, z = np.asarray(edges, dtype=np.int64).reshape(-1, 2), np.asarray(measured, dtype=float)
     m, k = len(pairs), z.shape[1]

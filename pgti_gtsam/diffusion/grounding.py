@@ -1,9 +1,9 @@
-"""What holds a map in place, and the least that has to be added where nothing does.
+"""The factors that fix a map in space, and the smallest additions where none do.
 
-A factor between poses conducts heat and holds nothing. A prior, or a position from a satellite, connects its
+A factor between poses conducts heat and fixes nothing in space. A prior, or a position from a satellite, connects the
 vertex to a wall of fixed temperature: a grounded vertex. Where a connected part has no ground, moving it as
 a whole changes no error; H is singular there, GTSAM's solver refuses, and the flow keeps the part's mean
-motion where it started.
+motion at the start.
 """
 
 from __future__ import annotations
@@ -30,15 +30,15 @@ stiff as its odometry has 1e-4."""
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Ground:
-    """Rows that hold one pose where it is, in the directions that nothing else holds.
+    """Rows that fix a pose at its place, in the directions that nothing else fixes.
 
     Attributes
     ----------
     key : int
-        The first pose of its part.
+        The first pose of the connected part.
     matrix : (k, d) float
-        Whitened Jacobian in the body frame; as stiff as the factors at the pose. Its residual is zero, now
-        and at the optimum: it chooses one of the solutions and pulls at none.
+        Whitened Jacobian in the body frame; as stiff as the factors at the pose. The residual is zero, now
+        and at the optimum: the ground chooses a solution and pulls at none.
     """
 
     key: int
@@ -51,7 +51,15 @@ class Ground:
 
 
 def components(hessian: sparse.csr_array, dimension: int) -> NDArray[np.int32]:
-    """Connected part of every vertex, (n,): poses that exchange heat, through marginalised variables too."""
+    """Connected part of every vertex, (n,): poses that exchange heat, through marginalised variables too.
+
+    Parameters
+    ----------
+    hessian : sparse.csr_array
+        H, (n d, n d).
+    dimension : int
+        d.
+    """
     blocks = sparse.bsr_array(hessian, blocksize=(dimension, dimension))
     shape = (len(blocks.indptr) - 1,) * 2
     pattern = sparse.csr_array((np.ones(len(blocks.indices)), blocks.indices, blocks.indptr), shape=shape)
@@ -60,9 +68,10 @@ def components(hessian: sparse.csr_array, dimension: int) -> NDArray[np.int32]:
 
 
 def grounds(body: Linearisation) -> list[Ground]:
-    """What has to be added so that every part of a graph is held, one ground for each part that is not or not wholly.
+    """The additions that fix every part of a graph, a ground for each part that is not wholly fixed.
 
-    A part with a position from a satellite is held but for its rotation about it: only that is grounded.
+    A part with a position from a satellite is fixed but for the rotation about that position: only the rotation is
+    grounded.
     """
     equations = normal_equations(in_space(body))
     d, labels = equations.dimension, components(equations.hessian, equations.dimension)
@@ -88,7 +97,14 @@ def grounds(body: Linearisation) -> list[Ground]:
 
 
 def grounded(body: Linearisation, added: Sequence[Ground]) -> Linearisation:
-    """The linearisation with the rows of some grounds behind it; their slot is −1."""
+    """The linearisation with the rows of some grounds behind the others; the slot of a ground is −1.
+
+    Parameters
+    ----------
+    body : Linearisation
+        Linearisation in the body frame.
+    added : sequence of Ground
+    """
     if not added:
         return body
     d, width = body.dimension, body.jacobian.shape[1]
@@ -110,7 +126,13 @@ def grounded(body: Linearisation, added: Sequence[Ground]) -> Linearisation:
 def grounded_graph(
     graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, added: Sequence[Ground]
 ) -> gtsam.NonlinearFactorGraph:
-    """New GTSAM graph of the same factors and the grounds, for its optimisers."""
+    """New GTSAM graph of the same factors and the grounds, for GTSAM's optimisers.
+
+    Parameters
+    ----------
+    graph, values
+    added : sequence of Ground
+    """
     together = joined(graph)
     for ground in added:
         together.push_back(gtsam.LinearContainerFactor(ground.linear_factor(), values))

@@ -23,17 +23,17 @@ class Equation11:
     Attributes
     ----------
     slots : (m,) int
-        Between factors of the graph; others are no part of Eq. 11.
+        Between factors of the graph; other factors are no part of Eq. 11.
     antisymmetry : (m,) float
-        |A + B|: what the block Laplacian needs.
+        |A + B|: zero for a block Laplacian.
     gtsam_jacobian : (m,) float
         |B − J Ad(p_j⁻¹)| with the J that GTSAM's own formulas give for J_r⁻¹(e).
     right_jacobian : (m,) float
-        |B − J_r⁻¹(e) Ad(p_j⁻¹)| with the exact J_r⁻¹. Where this is large and the other is not, GTSAM's J is
-        not J_r⁻¹: Similarity3 factors leave it out, which is right where e = 0 only;
+        |B − J_r⁻¹(e) Ad(p_j⁻¹)| with the exact J_r⁻¹. Where this number is large and the other is not, GTSAM's J is
+        not J_r⁻¹: Similarity3 factors leave J_r⁻¹ out, exact where e = 0 only;
         `Pose2.LogmapDerivative` cancels to few digits at small angles, worst just above 1e-5 rad; Pose3's
         logarithm loses half its digits some 1e-3 rad before π. H is a block Laplacian in all three cases,
-        and not quite the Gauss-Newton matrix of its error.
+        and not quite the Gauss-Newton matrix of the error.
     rotation_rad : (m,) float
         Angle of the residual's rotation; J_r is singular at 2π, the logarithm jumps at π.
     """
@@ -46,7 +46,14 @@ class Equation11:
 
 
 def equation_11(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> Equation11:
-    """Check Eq. 11 on every between factor of Pose2, Pose3 and Similarity3, without its noise model."""
+    """Check Eq. 11 on every between factor of Pose2, Pose3 and Similarity3, without its noise model.
+
+    Parameters
+    ----------
+    graph : gtsam.NonlinearFactorGraph
+    values : gtsam.Values
+        An estimate of all variables.
+    """
     check_map(graph, values)
     found = [
         (slot, *_deviations(factor, group, values))
@@ -67,7 +74,14 @@ def inverse_right_jacobian(group: Any, tangent: NDArray[np.float64]) -> NDArray[
     """J_r⁻¹(ξ) of any matrix Lie group, (d, d).
 
     J_r(ξ) = φ₁(−ad_ξ) with φ₁(X) = (eˣ − 1)/X, taken from the exponential of [[X, 1], [0, 0]], whose upper
-    right block it is. Exact whatever the angle, where a closed form by angles loses digits near 0 and π.
+    right block is J_r. Exact whatever the angle, where a closed form by angles loses digits near 0 and π.
+
+    Parameters
+    ----------
+    group : type
+        gtsam.Pose2, gtsam.Pose3 or gtsam.Similarity3.
+    tangent : (d,) float
+        ξ.
     """
     d = len(tangent)
     augmented = np.zeros((2 * d, 2 * d))

@@ -1,9 +1,9 @@
-"""A factor graph linearised at its values: the whitened Jacobian as one sparse matrix, in two frames.
+"""A factor graph linearised at its values: the whitened Jacobian as a sparse matrix, in two frames.
 
-GTSAM perturbs a pose from the right, p Exp(δ_body): the body frame. The paper's Eq. 10 perturbs it from the left,
+GTSAM perturbs a pose from the right, p Exp(δ_body): the body frame. The paper's Eq. 10 perturbs a pose from the left,
 Exp(δ_space) p: the spatial frame. Both say the same with δ_body = Ad(p⁻¹) δ_space, so the spatial Jacobian
-is the body's times the block diagonal of the Ad(p_i⁻¹). Rows are whitened as GTSAM whitens them: JᵀJ here is
-the paper's JᵀΩJ. A robust loss multiplies the rows of its factor by the root of its present weight, which
+is the body's times the block diagonal of the Ad(p_i⁻¹). Rows are whitened as in GTSAM: JᵀJ here is
+the paper's JᵀΩJ. A robust loss multiplies the rows of the factor by the root of the present weight, which
 scales that factor's Ω and nothing else.
 """
 
@@ -38,12 +38,12 @@ class Linearisation:
     Attributes
     ----------
     group : str
-        What the poses are: "Pose2", "Pose3" or "Similarity3", of dimension d = 3, 6 or 7.
+        Type of the poses: "Pose2", "Pose3" or "Similarity3", of dimension d = 3, 6 or 7.
     frame : {"body", "spatial"}
     keys : (n,) uint64
         The poses, ascending; pose i owns columns i d to (i + 1) d.
     other_keys, other_starts : (k,) uint64, (k + 1,) int
-        All other variables (landmarks, velocities, ...) and where their columns start, behind those of the poses.
+        All other variables (landmarks, velocities, ...) and their first columns, behind the columns of the poses.
     jacobian : (m, n d + ...) sparse
         Whitened.
     residual : (m,) float
@@ -96,13 +96,13 @@ def linearise(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> Linear
     NoPoseError
         No value is a Pose2, Pose3 or Similarity3.
     InvalidValueError
-        Poses of more than one of these groups, or a factor whose linearisation is not finite.
+        Poses of more than one type, or a factor whose linearisation is not finite.
     MissingValueError
         A factor's key has no value.
     InvalidGraphError
         The graph holds no factor.
     UnsolvableGraphError
-        A hard constraint, which conducts infinitely well and leaves no finite flow, or a factor that GTSAM
+        A hard constraint (infinite conductance, no finite flow), or a factor that GTSAM
         cannot linearise.
     """
     check_map(graph, values)
@@ -140,7 +140,7 @@ def in_space(body: Linearisation) -> Linearisation:
 
 
 def to_body(linearisation: Linearisation) -> sparse.csr_array:
-    """Block diagonal of the Ad(p_i⁻¹), and of ones for other variables: δ_body = T δ_space, square."""
+    """Block diagonal of the Ad(p_i⁻¹), with 1 for other variables: δ_body = T δ_space, square."""
     n, d, n_columns = len(linearisation.keys), linearisation.dimension, linearisation.jacobian.shape[1]
     blocks = sparse.bsr_array((linearisation.adjoints, np.arange(n), np.arange(n + 1)), shape=(n * d, n * d))
     return sparse.csr_array(sparse.block_diag([blocks, sparse.eye_array(n_columns - n * d)], format="csr"))
@@ -186,7 +186,7 @@ def _similarity(values: gtsam.Values, key: int) -> gtsam.Similarity3 | None:
 def _linearised(
     slot: int, factor: Any, values: gtsam.Values, dims: dict[int, int]
 ) -> tuple[list[int], NDArray[np.float64], NDArray[np.float64]]:
-    """Keys, whitened Jacobian and whitened error of one factor; empty where it is inactive."""
+    """Keys, whitened Jacobian and whitened error of a factor; empty where the factor is inactive."""
     named = f"{type(factor).__name__} in slot {slot}"
     for key in factor.keys():  # noqa: SIM118
         if key not in dims:
@@ -222,7 +222,7 @@ def _stacked(
     dims: dict[int, int],
     n_columns: int,
 ) -> sparse.csr_array:
-    """All factors' Jacobians below each other, their columns where `column` has them."""
+    """All factors' Jacobians below each other, with the columns that `column` says."""
     rows, columns, entries, start = [], [], [], 0
     for _, keys, matrix, _ in blocks:
         if not keys:
@@ -237,10 +237,16 @@ def _stacked(
 
 
 def robust_weights(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> dict[int, float]:
-    """Present weight of every factor with a robust loss, by slot: its conductance is that much of what its
+    """Present weight of every factor with a robust loss, by slot: the factor's conductance is that share of the
     noise model says.
 
-    Weights are those at the values; they change as the flow goes on, and the linearised flow does not know.
+    Weights belong to the values; weights change as the flow goes on, and the linearised flow does not follow.
+
+    Parameters
+    ----------
+    graph : gtsam.NonlinearFactorGraph
+    values : gtsam.Values
+        An estimate of all variables.
     """
     weights = {}
     for slot, factor in slots_of(graph):

@@ -1,7 +1,7 @@
 """GTSAM's optimisers step by step, and the heat flow that is linearised again, from the same start.
 
 Steps and times correspond. Gradient descent with step h is the flow by Euler's explicit rule, k steps being
-the time k h. Levenberg and Marquardt's step with damping λ, −(H + λ)⁻¹ g, is one step of Euler's implicit
+the time k h. Levenberg and Marquardt's step with damping λ, −(H + λ)⁻¹ g, is a step of Euler's implicit
 rule over the time 1/λ. Gauss-Newton's is the whole flow, t = ∞. Dogleg's lies between the first and the last.
 """
 
@@ -30,7 +30,7 @@ OPTIMISERS: dict[str, tuple[Any, Any]] = {
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Step:
-    """One accepted state of an optimiser.
+    """An accepted state of an optimiser.
 
     Attributes
     ----------
@@ -51,19 +51,19 @@ class Step:
 def gtsam_steps(
     graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, method: str, n_steps: int, *, damping: float | None = None
 ) -> list[Step]:
-    """Run one of GTSAM's optimisers iteration by iteration.
+    """Run an optimiser of GTSAM iteration by iteration.
 
     Parameters
     ----------
     graph : gtsam.NonlinearFactorGraph
         Held in place: see `grounding.grounded_graph`.
     values : gtsam.Values
-        The start; it stays untouched.
+        The start; the caller's values do not change.
     method : str
         A key of `OPTIMISERS`.
     n_steps : int
     damping : float, optional
-        First λ of Levenberg-Marquardt, which it divides by ten at every success; GTSAM's own 1e-5 when left out.
+        First λ of Levenberg-Marquardt, divided by ten at every success; GTSAM's own 1e-5 when left out.
 
     Raises
     ------
@@ -102,7 +102,7 @@ def gradient_descent(
     Parameters
     ----------
     graph, values
-        Poses only; it need not be held, as descent moves nothing that the graph leaves open.
+        Poses only; no prior is needed, as descent moves nothing that the graph leaves open.
     n_steps : int
     step : float, optional
         h in units of 1/H; 1/λ_max of the start when left out, half the length at which a step overshoots.
@@ -122,6 +122,15 @@ def relinearised_flow(
     """Flow for a while, retract, linearise again, repeat: the nonlinear heat flow, at the sums of the durations.
 
     An infinite duration is a Gauss-Newton step.
+
+    Parameters
+    ----------
+    graph : gtsam.NonlinearFactorGraph
+        Poses only.
+    values : gtsam.Values
+        The start.
+    durations : (k,) float
+        Length of each linear flow.
     """
     yield Step(method="flow", iteration=0, energy=graph.error(values), values=values)
     for k, duration in enumerate(durations, start=1):
@@ -134,10 +143,19 @@ def relinearised_flow(
 
 
 def gauss_newton_poses(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, added: list[Ground]) -> gtsam.Values:
-    """Where one Gauss-Newton iteration of GTSAM leads, by its QR solver.
+    """The poses after a Gauss-Newton iteration of GTSAM, by the QR solver.
 
-    Its Cholesky solver loses twice the digits: 2e-9 of the step on parking-garage, and MIT it refuses as
+    GTSAM's Cholesky solver loses twice the digits: 2e-9 of the step on parking-garage, and refuses MIT as
     indeterminate.
+
+    Parameters
+    ----------
+    graph : gtsam.NonlinearFactorGraph
+        Poses only.
+    values : gtsam.Values
+        The start.
+    added : list of Ground
+        Grounds.
     """
     return gtsam_steps(grounded_graph(graph, values, added), values, "Gauss-Newton", 1)[-1].values
 
@@ -151,7 +169,17 @@ def steady_state_error(
 ) -> float:
     """Distance between the poses of the flow's steady state and of GTSAM's Gauss-Newton step, relative to the step.
 
-    Compared are poses, as a step may turn one by more than π, which its logarithm does not tell.
+    Poses are compared, since a step may turn a pose by more than π, beyond the range of the logarithm.
+
+    Parameters
+    ----------
+    body : Linearisation
+        Linearisation in the body frame.
+    graph, values
+    added : list of Ground
+        Grounds.
+    steady : (n d,) float
+        Steady state of the flow.
     """
     theirs = gauss_newton_poses(graph, values, added)
     difference = updates(body, moved(body, values, steady), theirs)
@@ -160,7 +188,16 @@ def steady_state_error(
 
 
 def moved(body: Linearisation, values: gtsam.Values, delta: NDArray[np.float64]) -> gtsam.Values:
-    """Values with every pose retracted by its share of δ_body, (n d,); other variables stay."""
+    """Values with every pose retracted by its share of δ_body, (n d,); other variables stay.
+
+    Parameters
+    ----------
+    body : Linearisation
+        Linearisation in the body frame.
+    values : gtsam.Values
+    delta : (n d,) float
+        δ_body.
+    """
     at, found = _reader(body, values), gtsam.Values(values)
     for key, share in zip(body.keys.tolist(), delta.reshape(-1, body.dimension), strict=True):
         found.update(key, at(key).retract(share))
@@ -168,7 +205,14 @@ def moved(body: Linearisation, values: gtsam.Values, delta: NDArray[np.float64])
 
 
 def updates(body: Linearisation, before: gtsam.Values, after: gtsam.Values) -> NDArray[np.float64]:
-    """log(p_before⁻¹ p_after) of every pose, (n, d)."""
+    """log(p_before⁻¹ p_after) of every pose, (n, d).
+
+    Parameters
+    ----------
+    body : Linearisation
+        Linearisation in the body frame.
+    before, after : gtsam.Values
+    """
     first, second = _reader(body, before), _reader(body, after)
     return np.array([first(key).localCoordinates(second(key)) for key in body.keys.tolist()])
 
@@ -187,7 +231,7 @@ def matched_time(
     times : (n_times,) float
         Ascending and positive; the last may be infinite.
     states : (n_times, N) float
-        δ(t). Between two of them the flow is taken as a straight line, and time as its logarithm.
+        δ(t). Between two times the flow is taken as a straight line, and time as its logarithm.
     update : (N,) float
         Zero gives time zero and no miss.
     """

@@ -1,8 +1,8 @@
 """How well the scalar Laplacian of PGTI stands for the heat that pose-graph optimisation spreads.
 
 Compared is the heat that is left at each keyframe: K_ii(t) of the scalar Laplacian, and tr K_ii(s) / d of
-the block matrix H. Their clocks differ, since information has units: times are matched so that the mean over
-all keyframes is the same. What is left then is where the heat stays, which is what PGTI compares.
+the block matrix H. The clocks differ, since information has units: times are matched so that the mean over
+all keyframes is the same. The remaining difference is where the heat stays, and PGTI compares exactly that.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ class Proxy:
 
     @property
     def rank_correlation(self) -> float:
-        """Mean over the times: 1 where the scalar Laplacian orders keyframes as H does, 0 where it says nothing."""
+        """Mean over the times: 1 where the scalar Laplacian orders keyframes as H does, 0 for unrelated orders."""
         return float(self.rank_correlations.mean())
 
     @property
@@ -78,9 +78,9 @@ def compare(equations: NormalEquations, weights: FloatArray | None = None, *, n_
     Parameters
     ----------
     equations : NormalEquations
-        Not grounded, so that both keep their mean.
+        Without grounds, so that both keep their mean.
     weights : (m,) float, optional
-        Of the scalar Laplacian's edges, in the order of `block_edges`; one when left out, as PGTI has them.
+        Of the scalar Laplacian's edges, in the order of `block_edges`; 1 when left out, as in PGTI.
     n_times : int
 
     Returns
@@ -112,14 +112,30 @@ def compare(equations: NormalEquations, weights: FloatArray | None = None, *, n_
 
 
 def chosen_vertices(n: int, dimension: int) -> NDArray[np.int64]:
-    """All vertices of a small system, evenly spread ones of a large one."""
+    """All vertices of a small system, evenly spread vertices of a large system.
+
+    Parameters
+    ----------
+    n : int
+        Number of vertices.
+    dimension : int
+        d.
+    """
     if n * dimension <= MODES_UP_TO:
         return np.arange(n)
     return np.unique(np.linspace(0, n - 1, SAMPLED_COLUMNS // dimension).round().astype(np.int64))
 
 
 def block_edges(hessian: sparse.csr_array, dimension: int) -> NDArray[np.int64]:
-    """Pairs i < j with a block H_ij, sorted, (m, 2)."""
+    """Pairs i < j with a block H_ij, sorted, (m, 2).
+
+    Parameters
+    ----------
+    hessian : sparse.csr_array
+        H, (n d, n d).
+    dimension : int
+        d.
+    """
     blocks = sparse.bsr_array(hessian, blocksize=(dimension, dimension))
     blocks.sort_indices()
     rows = np.repeat(np.arange(len(blocks.indptr) - 1), np.diff(blocks.indptr))
@@ -130,8 +146,8 @@ def block_edges(hessian: sparse.csr_array, dimension: int) -> NDArray[np.int64]:
 def information_weights(equations: NormalEquations) -> FloatArray:
     """D-optimality of every conductance, |det H_ij|^(1/d), (m,), in the order of `block_edges`.
 
-    For one between factor of a pair it is det(Ω)^(1/d), up to det J_r, in the body frame as in the spatial
-    one: the determinant of the adjoint map of a rigid motion is one. Zero where the information is singular.
+    For a single between factor of a pair the weight is det(Ω)^(1/d), up to det J_r, in the body frame as in the spatial
+    frame: the determinant of the adjoint map of a rigid motion is 1. Zero where the information is singular.
     """
     d = equations.dimension
     blocks = sparse.bsr_array(equations.hessian, blocksize=(d, d))
@@ -142,7 +158,12 @@ def information_weights(equations: NormalEquations) -> FloatArray:
 
 
 def spearman(first: FloatArray, second: FloatArray) -> float:
-    """Rank correlation, ties shared; values that agree to nine digits are ties. 1 where both are constant."""
+    """Rank correlation, ties shared; values that agree to nine digits are ties. 1 where both are constant.
+
+    Parameters
+    ----------
+    first, second : (n,) float
+    """
     ranks = [
         rankdata(np.round(x / np.abs(x).max(), 9)) if np.abs(x).max() > 0 else rankdata(x) for x in (first, second)
     ]
@@ -153,6 +174,15 @@ def spearman(first: FloatArray, second: FloatArray) -> float:
 
 def heat_left(matrix: sparse.csr_array, dimension: int, vertices: NDArray[np.int64], times: FloatArray) -> FloatArray:
     """tr K_ii(t) / d of chosen vertices, (k, n_times): the mean share of a unit of heat that is still where
+
+    Parameters
+    ----------
+    matrix : sparse.csr_array
+        (n d, n d).
+    dimension : int
+        d.
+    vertices : (k,) int
+    times : (n_times,) float
     it was put."""
     columns = (vertices[:, None] * dimension + np.arange(dimension)).ravel()
     shape = (len(vertices), dimension, len(times))

@@ -1,4 +1,4 @@
-"""Where a perturbation of one keyframe goes, how far, and how fast."""
+"""How far and how fast the perturbation of a keyframe spreads."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ TRANSLATION = {3: np.array([0, 1]), 6: np.array([3, 4, 5]), 7: np.array([3, 4, 5
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Spread:
-    """The response of every keyframe to unit perturbations of one.
+    """The response of every keyframe to unit perturbations of a keyframe.
 
     Attributes
     ----------
     vertex : int
     times : (n_times,) float
     amplitudes : (n_times, n) float
-        Shift of every keyframe for a unit shift of one, root mean square over directions: one at the vertex
+        Shift of every keyframe for a unit shift of the vertex, root mean square over directions: 1 at the vertex
         at time zero.
     hops : (n,) float
-        Edges between the vertex and every other; infinite where none lead there.
+        Edges between the vertex and every other; infinite without a path.
     """
 
     vertex: int
@@ -68,7 +68,7 @@ class Spread:
 
 
 def spread(equations: NormalEquations, vertex: int, times: FloatArray) -> Spread:
-    """Follow a unit shift of one keyframe, residuals left out.
+    """Follow a unit shift of a keyframe, residuals left out.
 
     Shifts alone are followed, as rotations have another unit. A scalar Laplacian has one coordinate.
 
@@ -95,7 +95,14 @@ def spread(equations: NormalEquations, vertex: int, times: FloatArray) -> Spread
 
 
 def hops_from(vertex: int, n_vertices: int, edges: NDArray[np.int64]) -> FloatArray:
-    """Edges on the shortest way from a vertex to every other, (n,); infinite without a way."""
+    """Edges on the shortest way from a vertex to every other, (n,); infinite without a way.
+
+    Parameters
+    ----------
+    vertex : int
+    n_vertices : int
+    edges : (m, 2) int
+    """
     ones = np.ones(len(edges))
     matrix = sparse.coo_array((ones, (edges[:, 0], edges[:, 1])), shape=(n_vertices, n_vertices)).tocsr()
     hops: FloatArray = csgraph.shortest_path(matrix, directed=False, unweighted=True, indices=vertex)

@@ -1,4 +1,4 @@
-"""Everything that this package can say of one graph: block Laplacian, flow, optimisers, spreading, proxy."""
+"""The full heat study of a graph: block Laplacian, flow, optimisers, spreading, proxy."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ FloatArray = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class OptimiserRun:
-    """One of GTSAM's optimisers, and the flow nearest to its first step.
+    """An optimiser of GTSAM, and the flow nearest to its first step.
 
     Attributes
     ----------
@@ -45,7 +45,7 @@ class OptimiserRun:
     energies : (k,) float
         The graph's error from the start on; empty where the optimiser found the graph singular.
     time, miss : float
-        The time at which the linear flow is nearest to the first step, and how far it is relative to the
+        The time at which the linear flow is nearest to the first step, and the distance then, relative to the
         step; NaN likewise.
     """
 
@@ -57,7 +57,7 @@ class OptimiserRun:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Study:
-    """What `study` found.
+    """The result of `study`.
 
     Attributes
     ----------
@@ -69,7 +69,7 @@ class Study:
     parts : int
         Connected parts.
     grounds : tuple of Ground
-        Added, one for each part that nothing held.
+        Added grounds, one for each part that nothing fixed.
     robust : dict of int to float
         Weights of robust losses by slot.
     defects_body, defects_spatial : (n,) float
@@ -124,7 +124,7 @@ class Study:
 
     @property
     def laplacian_defect_spatial(self) -> float:
-        """Largest of `defects_spatial`; above rounding only where a factor holds its pose to a wall."""
+        """Largest of `defects_spatial`; above rounding only where a factor ties its pose to the world."""
         return float(self.defects_spatial.max())
 
 
@@ -136,15 +136,15 @@ def study(
     Parameters
     ----------
     graph : gtsam.NonlinearFactorGraph
-        Whatever it holds besides poses is marginalised.
+        All variables but poses are marginalised.
     values : gtsam.Values
     stage : callable, optional
-        Told what comes next.
+        Called with the name of each step.
 
     Raises
     ------
     PgtiError
-        Those of `linearise`.
+        As of `linearise`.
     """
     stage("linearising")
     body = linearise(graph, values)
@@ -204,7 +204,13 @@ def study(
 
 
 def time_grid(slowest: float, fastest: float) -> FloatArray:
-    """Times from 0.01/λ_max, when nothing has moved, to 30/λ_min, when e^(−30) is left to move."""
+    """Times from 0.01/λ_max, when nothing has moved, to 30/λ_min, when e^(−30) is left to move.
+
+    Parameters
+    ----------
+    slowest, fastest : float
+        λ_min and λ_max.
+    """
     return np.geomspace(0.01 / fastest, 30 / slowest, N_TIMES)
 
 
@@ -245,7 +251,13 @@ def _spreads(free: tuple[NormalEquations, NormalEquations], times: FloatArray) -
 
 
 def scalar_equations(n_vertices: int, edges: NDArray[np.int64]) -> NormalEquations:
-    """The unweighted Laplacian that PGTI takes, as normal equations without residuals."""
+    """The unweighted Laplacian that PGTI takes, as normal equations without residuals.
+
+    Parameters
+    ----------
+    n_vertices : int
+    edges : (m, 2) int
+    """
     return NormalEquations(
         hessian=sparse.csr_array(laplacian(n_vertices, edges)),
         gradient=np.zeros(n_vertices),

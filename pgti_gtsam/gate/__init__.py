@@ -1,7 +1,7 @@
-"""A gate in front of every loop closure: how probable it is, by drift and by free space, and the verdict.
+"""A gate in front of every loop closure: the closure's probability, by drift and by free space, and the verdict.
 
-`ties` and `upright` say what holds a map together, `drift_model` what that predicts of any relative pose, and `terms`
-what a closure's measurement says against it. `reference_map` is the map before any candidate, `candidate_map` the map
+`ties` and `upright` read the constraints of a map, `drift_model` the predicted relative poses, and `terms`
+the evidence of a closure's measurement. `reference_map` is the map before any candidate, `candidate_map` the map
 with some; `candidates` makes ties of closures, `admission` takes the surest first; `paper_rule` is the paper's gate on
 its own. `gate` decides, `batch` gates whole graphs, `isam2` wraps a smoother, which keeps a `grown_map`;
 `saved` writes both down. `left_out` and `own_closures` judge a finished map's closures against each other.

@@ -1,7 +1,7 @@
-"""Which of some closures are true: the surest revisit is tied first, and the others are asked again.
+"""The true closures among candidates: the surest revisit is tied first, and the others are asked again.
 
-Each revisit is weighed by what the ties so far predict of it (`terms.drift`). Of those that pass, the surest is taken,
-and the predictions of the others follow it (Gaussian conditioning), so that two that contradict each other never pass
+Each revisit is weighed by the prediction of the ties so far (`terms.drift`). Of the passing revisits, the surest is
+taken, and the predictions of the others follow (Gaussian conditioning), so that two contradicting revisits never pass
 together; then the map is brought to its optimum, and the rest weighed anew. Where the drift alone leaves doubt, the
 free space decides (`terms.contact_rise`). In the end every member is compared with all the others.
 """
@@ -48,18 +48,18 @@ Ties = NDArray[np.int64]
 
 @dataclass(slots=True, kw_only=True, eq=False)
 class Weight:
-    """What was found of one revisit.
+    """The evidence on a revisit.
 
     Attributes
     ----------
     ties : (g,) int
         Of the drift model.
     drift : float
-        Log odds by the drift when it was tied, or in the end; NaN where no tie leads between its keyframes.
+        Log odds by the drift when tied, or in the end; NaN where no tie leads between the keyframes.
     missed_m, missed_rad, allowed_m : float
-        What its middle member misses the prediction by, and the prediction's standard deviation.
+        Difference between the middle member and the prediction, and the prediction's standard deviation.
     rise : Change or None
-        Stable score of the keyframe whose score rises most, where the free space was asked; its index.
+        Stable score of the keyframe whose score rises most, where the free space was asked; the keyframe's index.
     """
 
     ties: Ties
@@ -71,7 +71,18 @@ class Weight:
     worst: int | None = None
 
     def note(self, model: DriftModel, missed: Array, spread: Array, odds: float) -> None:
-        """What its middle member misses, (d,), the covariance of the prediction, (d, d), and the log odds of all."""
+        """Note the evidence of the drift.
+
+        Parameters
+        ----------
+        model : DriftModel
+        missed : (d,) float
+            Difference between the middle member and the prediction.
+        spread : (d, d) float
+            Covariance of the prediction.
+        odds : float
+            Log odds of all members together.
+        """
         place = model.translation
         self.drift = odds
         self.missed_m = float(np.linalg.norm(missed[place]))
@@ -99,9 +110,9 @@ class Admission:
         Ties that hold.
     weights : list of Weight
     member_odds : dict from tie to float
-        Log odds of members that all the others contradict, which were taken out again.
+        Log odds of members that all the others contradict, and that were taken out again.
     nearest : Settled
-        The last optimum that was asked for; ties that it does not hold yet may have passed since.
+        The last optimum that was computed; ties beyond that optimum may have passed since.
     """
 
     model: DriftModel
@@ -118,13 +129,13 @@ class Admission:
 
     @property
     def settled(self) -> Settled:
-        """The optimum of the ties that hold. It is sought where something asks, for most verdicts need none."""
+        """The optimum of the ties that hold. Computed on demand: most verdicts need no optimum."""
         if not np.array_equal(self.nearest.active, self.active):
             self.nearest = settle(self.model, self.active, self.nearest)
         return self.nearest
 
     def run(self) -> None:
-        """Tie what passes."""
+        """Tie the passing revisits."""
         while self._open():
             if self._take(self._surest()) or self._take_doubtful() or self._join_parts() or self._widened():
                 self.progress(sum(len(each.ties) for each in self.weights) - self._n_open(), self._n_offered())
@@ -143,14 +154,14 @@ class Admission:
         return sum(len(each.ties) for each in self.weights)
 
     def _surest(self) -> list[Weight]:
-        """Revisits that pass one after the other, each given those before it."""
+        """Revisits that pass in turn, each given the earlier."""
         asked = [each for each in self._open() if not each.drift < HOPELESS]
         self._weigh_all(asked)
         passing = sorted((each for each in asked if each.drift > self.needed), key=lambda each: -each.drift)[:AT_ONCE]
         return self._one_by_one(passing) if passing else []
 
     def _weigh_all(self, asked: list[Weight]) -> None:
-        """By the map as it is: single closures at once, revisits one by one."""
+        """By the present map: single closures at once, revisits in turn."""
         ties, single = self.model.ties, [each for each in asked if len(each.ties) == 1]
         own = np.array([each.ties[0] for each in single], dtype=np.int64)
         spreads = self._poorer * self.settled.covariances(ties.pairs[own])
@@ -166,9 +177,9 @@ class Admission:
             self._weigh(each, some, self.settled.residuals[some], self._poorer * spread)
 
     def _one_by_one(self, passing: list[Weight]) -> list[Weight]:
-        """Those of some that pass given the ones before, the surest first, as far as linear predictions hold.
+        """The revisits that pass given the earlier, the surest first, as far as linear predictions hold.
 
-        Conditioning on a revisit takes W Wᵀ off the covariance of all; the blocks are formed when they are asked for.
+        Conditioning on a revisit takes W Wᵀ off the covariance of all; the blocks are formed on demand.
         """
         members, d = [_some(each.ties) for each in passing], len(self.model.spread)
         pairs = np.concatenate([self.model.ties.pairs[own] for own in members])
@@ -195,7 +206,7 @@ class Admission:
         return taken
 
     def _weigh(self, each: Weight, own: Ties, missed: Array, spread: Array) -> None:
-        """A revisit of several by what some of its members miss."""
+        """A revisit of several closures by the differences of some members from the prediction."""
         odds = np.nan
         if np.isfinite(spread).all():
             later = self.model.ties.pairs[own, 1].tolist()
@@ -206,7 +217,7 @@ class Admission:
         each.note(self.model, missed[middle], spread[inner, inner], odds)
 
     def _take(self, chosen: Sequence[Weight]) -> bool:
-        """Tie revisits, but for those that the free space speaks against, which are refused; whether there were any."""
+        """Tie revisits, but refuse revisits that the free space contradicts; whether there were any."""
         doubtful = [each for each in chosen if each.drift < DOUBT]
         if doubtful:
             tried = self._ask_free_space(doubtful, chosen)
@@ -225,7 +236,7 @@ class Admission:
         return bool(chosen or doubtful)
 
     def _ask_free_space(self, doubtful: Sequence[Weight], chosen: Sequence[Weight]) -> Settled:
-        """Note what the free space says of some revisits where all that are chosen hold; the optimum with those."""
+        """Note the evidence of the free space on revisits, with all chosen revisits tied; the optimum with those."""
         before = self._contacts_at(self.settled)
         tried = settle(self.model, self._active_with(chosen), self.settled)
         rise = local_rise(before, self._contacts_at(tried))
@@ -245,17 +256,17 @@ class Admission:
         return active
 
     def _take_doubtful(self) -> bool:
-        """The best revisit that passes if it brings nothing into contact."""
+        """The best revisit that passes if no spheres come into contact."""
         open_ = [each for each in self._open() if each.drift > self.needed - contact_rise.log_odds(0.0)]
         return bool(open_) and self._take([max(open_, key=lambda each: each.drift)])
 
     def _join_parts(self) -> bool:
-        """The largest revisit that joins parts which no tie leads between: nothing else can place them."""
+        """The largest revisit that joins parts without a tie between: nothing else can place the parts."""
         open_ = [each for each in self._open() if np.isnan(each.drift)]
         return bool(open_) and self._take([max(open_, key=lambda each: len(each.ties))])
 
     def _widened(self) -> bool:
-        """Whether what was tied shows that the odometry is poorer than was thought."""
+        """Whether the tied closures show poorer odometry than assumed."""
         tied = self._tied()
         if not len(tied):
             return False
@@ -287,7 +298,7 @@ class Admission:
 
 
 def _some(ties: Ties) -> Ties:
-    """At most `MEMBERS` of them, evenly."""
+    """At most `MEMBERS` members, evenly spread."""
     if len(ties) <= MEMBERS:
         return ties
     return np.asarray(ties[np.unique(np.linspace(0, len(ties) - 1, MEMBERS).round().astype(np.int64))])

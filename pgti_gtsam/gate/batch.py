@@ -27,7 +27,7 @@ class GatedGraph:
     Attributes
     ----------
     graph : gtsam.NonlinearFactorGraph
-        A new graph of the same factors in the same slots; those of closures that did not pass are empty.
+        A new graph of the same factors in the same slots; slots of closures that did not pass are empty.
     values : gtsam.Values
         Its optimum.
     decisions : dict of int to ClosureDecision
@@ -52,9 +52,16 @@ class GatedGraph:
 def closure_ends(
     pose_graph: PoseGraph, graph: gtsam.NonlinearFactorGraph, closures: Collection[int] | None = None
 ) -> dict[int, tuple[int, int]]:
-    """Slots of the loop closures, with the places of their keyframes in the order of the keys, i < j.
+    """Slots of the loop closures, with the indices of their keyframes in the order of the keys, i < j.
 
-    Without `closures`, their slots, they are the between factors that are no odometry: see `track.roles`.
+    Without `closures`, the between factors that are no odometry: see `track.roles`.
+
+    Parameters
+    ----------
+    pose_graph : PoseGraph
+    graph : gtsam.NonlinearFactorGraph
+    closures : collection of int, optional
+        Slots; None for the between factors that are no odometry.
     """
     closing = closure_edges(pose_graph) if closures is None else np.ones(len(pose_graph.edges), dtype=bool)
     rows = np.flatnonzero(closing).tolist()
@@ -91,8 +98,8 @@ def gate_graph(
     Raises
     ------
     PgtiError
-        Those of `from_gtsam`; `UnsolvableGraphError` where the map without closures has no optimum;
-        `InvalidOptionError` where without them nothing ties some keyframe.
+        As of `from_gtsam`; `UnsolvableGraphError` where the map without closures has no optimum;
+        `InvalidOptionError` where without the closures nothing ties some keyframe.
     """
     check_map(graph, values)
     gate = checked_gate(gate)
@@ -109,7 +116,7 @@ def gate_graph(
 
 
 def checked_gate(gate: LoopClosureGate | None) -> LoopClosureGate:
-    """The gate, one with default options without; raises InvalidOptionError."""
+    """The gate, by default with default options; raises InvalidOptionError."""
     if not isinstance(gate, LoopClosureGate | None):
         raise InvalidOptionError(f"expected a LoopClosureGate as the gate, got {shown(gate)}")
     return gate or LoopClosureGate()
@@ -124,10 +131,10 @@ def leave_one_out(
     gate: LoopClosureGate | None = None,
     progress: Callable[[int, int], None] = lambda done, of: None,
 ) -> tuple[dict[int, ClosureDecision], list[int]]:
-    """Judge every loop closure of a finished graph against the map with all the others, each for itself.
+    """Judge every loop closure of a finished graph against the map with all the others, each by itself.
 
-    The whole map is brought to its optimum once, from where every map without one closure starts. False closures
-    that agree vouch for each other here: those are for `gate_graph`.
+    The whole map is optimised once, the start of every map without a single closure. False closures
+    that agree vouch for each other here: use `gate_graph` for such maps.
 
     Parameters
     ----------
@@ -139,7 +146,7 @@ def leave_one_out(
     decisions : dict of int to ClosureDecision
         By slot.
     alone : list of int
-        Slots of closures on which a keyframe hangs alone: the map cannot be had without them.
+        Slots of closures without which a keyframe would hang on nothing: no map exists without such a closure.
     """
     gate = checked_gate(gate)
     slots = list(closure_ends(gate.adapted(graph, values, radii, closures), graph, closures))
@@ -158,7 +165,15 @@ def leave_one_out(
 def optimum(
     graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, settled: Settled, pose_graph: PoseGraph
 ) -> gtsam.Values:
-    """Optimum in the caller's noise models: from where the drift model has the keyframes, if the map is of poses."""
+    """Optimum in the caller's noise models: from where the drift model has the keyframes, if the map is of poses.
+
+    Parameters
+    ----------
+    graph : gtsam.NonlinearFactorGraph
+    values : gtsam.Values
+    settled : Settled
+    pose_graph : PoseGraph
+    """
     start = gtsam.Values(values)
     if values.size() == len(pose_graph):
         turn = settled.model.levelling.inverse()

@@ -1,4 +1,4 @@
-"""A map with and without a candidate closure, as PGTI sees it: contacts, Λ and Λ_glob."""
+"""A map with and without a candidate closure, as PGTI sees the map: contacts, Λ and Λ_glob."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class CandidateMaps:
     offered: Settled
 
     def contacts(self, settled: Settled) -> Contacts:
-        """Which keyframes are connected, and which only touch."""
+        """The pairs of keyframes that are connected, and those that only touch."""
         if settled.poses is self.reference.settled.poses:
             return self.reference.contacts
         return contacts(self._drawn(settled))
@@ -43,7 +43,7 @@ class CandidateMaps:
         return assess(self._drawn(settled), beta=self.reference.beta)
 
     def scores(self, active: NDArray[np.bool_], revisits: Sequence[NDArray[np.int64]]) -> list[tuple[Change, Change]]:
-        """Λ and Λ_glob without and with each of some revisits, where all else is as the map has it in the end.
+        """Λ and Λ_glob without and with each of some revisits, with all else as in the final map.
 
         Parameters
         ----------

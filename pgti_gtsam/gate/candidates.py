@@ -1,4 +1,4 @@
-"""Closures as candidate ties: the relative pose that each measures or implies, and which of them say the same."""
+"""Closures as candidate ties: the relative pose that each measures or implies, and groups of ties that agree."""
 
 from __future__ import annotations
 
@@ -30,7 +30,13 @@ Tie = tuple[int, int, Any]
 
 
 def measured_ties(closure: gtsam.NonlinearFactorGraph, keyframes: Keyframes) -> list[Tie]:
-    """What the between factors of a closure measure."""
+    """The measurements of the between factors of a closure.
+
+    Parameters
+    ----------
+    closure : gtsam.NonlinearFactorGraph
+    keyframes : Keyframes
+    """
     found = []
     for factor in factors_of(closure):
         if isinstance(factor, BETWEEN):
@@ -42,10 +48,20 @@ def measured_ties(closure: gtsam.NonlinearFactorGraph, keyframes: Keyframes) -> 
 def implied_tie(
     closure: gtsam.NonlinearFactorGraph, graph: gtsam.NonlinearFactorGraph, keyframes: Keyframes, unit_m: float
 ) -> Tie | None:
-    """The relative pose that landmarks seen again imply: of their keyframe, placed by them alone, from who knew them.
+    """The relative pose that landmarks seen again imply: of their keyframe, placed by the landmarks alone, from the
+    first observer.
 
-    The landmarks stay where the map has them, and the keyframe is placed by the closure's factors, from its own pose
-    and from that of the keyframe that knows most of them, whichever fits better. None where no other keyframe does.
+    The landmarks keep their place on the map, and the keyframe is placed by the closure's factors, from its own pose
+    and from the pose of the keyframe that knows most of the landmarks; the better fit counts. None where no other
+    keyframe does.
+
+    Parameters
+    ----------
+    closure : gtsam.NonlinearFactorGraph
+    graph : gtsam.NonlinearFactorGraph
+    keyframes : Keyframes
+    unit_m : float
+        The free radius ρ, m.
     """
     seen = {key for factor in factors_of(closure) for key in keys_of(factor)}
     second = max((key for key in seen if key in keyframes.index), key=lambda key: keyframes.index[key], default=None)
@@ -74,7 +90,7 @@ def implied_tie(
 def _placed(
     closure: gtsam.NonlinearFactorGraph, keyframes: Keyframes, key: int, starts: Sequence[Any], unit_m: float
 ) -> Any | None:
-    """Pose of a keyframe by factors to variables that stay where they are, from the best of some starts."""
+    """Pose of a keyframe by factors to variables that stay fixed, from the best of several starts."""
     factors = [factor for factor in factors_of(closure) if key in keys_of(factor)]
     graph, values = graph_of(factors), gtsam.Values()
     for other in sorted({k for factor in factors for k in keys_of(factor)} - {key}):
@@ -113,7 +129,7 @@ _DIMENSIONS = {"Point2": 2, "Point3": 3, "Pose2": 3, "Pose3": 6}
 
 
 def agreeing(settled: Settled, ties: NDArray[np.int64], way: NDArray[np.float64]) -> list[NDArray[np.int64]]:
-    """Ties of one revisit that say the same, together.
+    """Groups of ties of a revisit that agree.
 
     A tie from i to j moves the map at j by T_i z T_j⁻¹. Two agree when these motions put the places of both to the
     same places; the largest party is taken first.
@@ -138,7 +154,7 @@ def agreeing(settled: Settled, ties: NDArray[np.int64], way: NDArray[np.float64]
 
 
 def _agree(settled: Settled, ties: NDArray[np.int64], way: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Which two of some ties say the same, (k, k)."""
+    """The pairs of ties that agree, (k, k)."""
     model, poses = settled.model, settled.poses
     pairs = model.ties.pairs[ties]
     motions = [

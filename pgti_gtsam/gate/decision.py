@@ -1,4 +1,4 @@
-"""What the gate says of a closure: plain numbers and words, that keep nothing of the map."""
+"""The gate's verdict on a closure: plain numbers and words, without any reference to the map."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ class Change:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Term:
-    """One kind of evidence.
+    """Evidence of one kind.
 
     Attributes
     ----------
     value : float
-        What was measured, in the unit that the sentence names.
+        The measurement, in the unit that the sentence names.
     log_odds : float
-        What the measurement says of true against false.
+        Log odds of true against false, given the measurement.
     sentence : str
     """
 
@@ -49,7 +49,7 @@ class Term:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ClosureDecision:
-    """Verdict on one closure.
+    """Verdict on a closure.
 
     Attributes
     ----------
@@ -58,13 +58,13 @@ class ClosureDecision:
         Of true against false, all evidence together; NaN where nothing judges the closure.
     terms : mapping of name to Term
         "drift", "contact_rise" where the drift left the closure in doubt, "global_rise" and "keyframe_rise" where the
-        rule asks for them.
+        rule asks for scores.
     reasons : tuple of str
-        The terms' sentences, those that weighed most first.
+        The terms' sentences, the heaviest first.
     keys : tuple of int
         Keys of the keyframes that the closure ties, ascending.
     judged_with : int
-        Number of closures of one revisit that were weighed as one, this one included.
+        Number of closures of the revisit that were weighed together, this closure included.
     score, global_score : Change or None
         Λ and Λ_glob of the map before and after the closure; None where `GateOptions.scores` left them
         out, or where no tie of keyframes was judged.

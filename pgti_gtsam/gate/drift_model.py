@@ -1,8 +1,8 @@
 """How far two keyframes may lie apart, given every tie of a map: the odometry's errors in units of free space.
 
-Covariances are often wrong, by a factor or in kind. The model does without the caller's. It grants every step of the
-track what a poor odometer of any make still keeps, a white error that grows with the way in units of the free radius
-ρ, and every closure a part of ρ. With T the keyframes' poses, a tie (i, j) that measures z has the error
+Covariances are often wrong, by a factor or in kind. The model does without the caller's. Every step of the
+track gets the error that a poor odometer of any make keeps, a white error that grows with the way in units of the free
+radius ρ, and every closure a part of ρ. With T the keyframes' poses, a tie (i, j) that measures z has the error
 e = Log(z⁻¹ T_i⁻¹ T_j), which the perturbations T Exp(δ) change by δ_j − A δ_i, A = Ad(T_j⁻¹ T_i). The information
 matrix Σ Jᵀ R⁻¹ J of all ties is a graph Laplacian with matrix weights, and the covariance of the relative pose of two
 keyframes is the effective resistance between them.
@@ -38,7 +38,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DriftModel:
-    """A map's keyframes and what holds them together.
+    """A map's keyframes and their ties.
 
     Attributes
     ----------
@@ -48,9 +48,9 @@ class DriftModel:
         The estimate.
     ties : Ties
     held : (n,) bool
-        Keyframes whose position a factor of one variable holds.
+        Keyframes whose position a factor of a single variable fixes.
     along : (n,) float
-        Coordinate of every keyframe along its track, as `places_on` has it.
+        Coordinate of every keyframe along the track, from `places_on`.
     levelling : gtsam.Pose2 or gtsam.Pose3
         Turn Q that took the caller's poses T to the model's, T Q, whose z axis is the body's vertical.
     tilt : float
@@ -81,7 +81,15 @@ class DriftModel:
         return slice(0, 2) if self.is_planar else slice(3, 6)
 
     def variances(self, length: float, angle: float) -> Array:
-        """Squares of a length in ρ and of an angle in rad, in GTSAM's order, (d,)."""
+        """Squares of a length in ρ and of an angle in rad, in GTSAM's order, (d,).
+
+        Parameters
+        ----------
+        length : float
+            In ρ.
+        angle : float
+            In rad.
+        """
         return variances_of(length * self.unit_m, angle, is_planar=self.is_planar)
 
     def allowances_m(self, covariances: Array) -> Array:
@@ -90,7 +98,7 @@ class DriftModel:
         Parameters
         ----------
         covariances : (k, d, d) float
-            As `Settled.covariances` gives them.
+            As from `Settled.covariances`.
         """
         own = self.translation
         blocks = covariances[:, own, own]
@@ -99,7 +107,7 @@ class DriftModel:
         return np.where(unknown, np.inf, np.sqrt(np.maximum(squares, 0.0)))
 
     def moves_little(self, moved: Array) -> bool:
-        """Whether corrections, (k, d), move keyframes, and what turns with them, by no more than linear steps may."""
+        """Whether corrections, (k, d), stay within linear steps, for keyframes and all that turns with them."""
         place = np.arange(moved.shape[1])[self.translation]
         turned, shifted = np.delete(moved, place, axis=1), moved[:, place]
         reach = np.linalg.norm(shifted, axis=1) + self.extent_m * np.linalg.norm(turned, axis=1)
@@ -125,15 +133,15 @@ class DriftModel:
 
 
 def drift_model(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, pose_graph: PoseGraph) -> DriftModel:
-    """The drift model of a map as it stands.
+    """The drift model of a map at its present estimate.
 
     Parameters
     ----------
     graph : gtsam.NonlinearFactorGraph
     values : gtsam.Values
-        Best an optimum of the graph: the model's own is sought from there.
+        Best an optimum of the graph: the model's own optimum is sought from there.
     pose_graph : PoseGraph
-        The same map as `from_gtsam` reads it.
+        The same map, from `from_gtsam`.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The gate: closures and a map -> which of them are true, how probable, and why."""
+"""The gate: closures and a map -> the true closures, with probabilities and reasons."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ from pgti_gtsam.pose_graph import PoseGraph, Radii, key_label
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Judgement:
-    """Verdicts on some closures, and the map with those that passed.
+    """Verdicts on some closures, and the map with the closures that passed.
 
     Attributes
     ----------
     decisions : tuple of ClosureDecision
-        One for each closure, in the order given.
+        A decision for each closure, in the order given.
     settled : Settled
-        The last optimum of the drift model that a verdict hung on: near that with them.
+        The last optimum of the drift model that decided a verdict: near the optimum with the closures.
     """
 
     decisions: tuple[ClosureDecision, ...]
@@ -42,13 +42,13 @@ class Judgement:
 
     @property
     def accepted(self) -> tuple[int, ...]:
-        """Which closures passed."""
+        """Whether each closure passed."""
         return tuple(k for k, decision in enumerate(self.decisions) if decision.accepted)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LoopClosureGate:
-    """Judges loop closures by drift and free space. It holds options, and no state."""
+    """Judges loop closures by drift and free space. The gate has options, and no state."""
 
     options: GateOptions = field(default_factory=GateOptions)
 
@@ -63,7 +63,16 @@ class LoopClosureGate:
         radii: Radii | None = None,
         closures: Collection[int] | None = None,
     ) -> PoseGraph:
-        """A map as the gate reads it: `from_gtsam` with the gate's options."""
+        """A map as the gate reads maps: `from_gtsam` with the gate's options.
+
+        Parameters
+        ----------
+        graph, values
+        radii : Radii, optional
+            As for `from_gtsam`.
+        closures : collection of int, optional
+            Slots of the loop closures, where known.
+        """
         options = self.options
         return from_gtsam(
             graph,
@@ -81,7 +90,8 @@ class LoopClosureGate:
         radii: Radii | None = None,
         closures: Collection[int] | None = None,
     ) -> ReferenceMap:
-        """The map before any candidate, for `judge`: worth keeping where several are weighed against it.
+        """The map before any candidate, for `judge`: worth keeping where several closures are weighed against the same
+        map.
 
         Parameters
         ----------
@@ -95,7 +105,7 @@ class LoopClosureGate:
         UnsolvableGraphError
             The ties are so far apart in scale that nothing can be predicted.
         PgtiError
-            Those of `from_gtsam`.
+            As of `from_gtsam`.
         """
         check_map(graph, values)
         _check_values(graph, values)
@@ -114,7 +124,7 @@ class LoopClosureGate:
         Parameters
         ----------
         graph : gtsam.NonlinearFactorGraph
-            The map without the closure. Noise models are not read: what holds is what the drift model grants.
+            The map without the closure. Noise models are not read: the drift model brings tolerances of its own.
         values : gtsam.Values
             An estimate.
         closure : factor, list of factors or gtsam.NonlinearFactorGraph
@@ -127,7 +137,7 @@ class LoopClosureGate:
         InvalidClosureError
             An empty closure, a key without a value, a measurement that is not finite.
         PgtiError
-            Those of `reference_map`.
+            As of `reference_map`.
         """
         return self.evaluate_group(graph, values, [closure], radii).decisions[0]
 
@@ -138,7 +148,15 @@ class LoopClosureGate:
         closures: Sequence[Closure],
         radii: Radii | None = None,
     ) -> list[ClosureDecision]:
-        """Judge independent candidates, each against the same map; decisions come in their order."""
+        """Judge independent candidates, each against the same map; decisions in the same order.
+
+        Parameters
+        ----------
+        graph, values
+        closures : sequence of Closure
+        radii : Radii, optional
+            As for `from_gtsam`.
+        """
         check_map(graph, values)
         offered = [checked_closure(closure, values) for closure in closure_graphs(closures)]
         reference = self.reference_map(graph, values, radii)
@@ -151,7 +169,15 @@ class LoopClosureGate:
         closures: Sequence[Closure],
         radii: Radii | None = None,
     ) -> Judgement:
-        """Judge closures that arrived together, the surest first: see `admission`."""
+        """Judge closures that arrived together, the surest first: see `admission`.
+
+        Parameters
+        ----------
+        graph, values
+        closures : sequence of Closure
+        radii : Radii, optional
+            As for `from_gtsam`.
+        """
         check_map(graph, values)
         offered = [checked_closure(closure, values) for closure in closure_graphs(closures)]
         return self.judge(self.reference_map(graph, values, radii), offered)
@@ -169,7 +195,7 @@ class LoopClosureGate:
         ----------
         reference : ReferenceMap
         closures : sequence of gtsam.NonlinearFactorGraph
-            As `factor_graphs.checked_closure` has them.
+            As from `factor_graphs.checked_closure`.
         progress : callable
             Told how many closures are judged, and of how many.
 
@@ -229,20 +255,20 @@ class LoopClosureGate:
     def foreseen(
         self, grown: GrownMap, closure: gtsam.NonlinearFactorGraph
     ) -> tuple[ClosureDecision, GrownMap | None] | None:
-        """Judge one closure by what the drift alone says, without a new optimum.
+        """Judge a closure by the drift alone, without a new optimum.
 
         Parameters
         ----------
         grown : GrownMap
         closure : gtsam.NonlinearFactorGraph
-            As `factor_graphs.checked_closure` has it.
+            As from `factor_graphs.checked_closure`.
 
         Returns
         -------
         (ClosureDecision, GrownMap or None) or None
-            The verdict, and the map with the closure if it passed, None where that takes more than a linear step. None
-            for both where the verdict hangs on more: the closure is no single between factor, nothing predicts it, the
-            free space has to be asked, or another rule than the default decides.
+            The verdict, and the map with the closure if passed, None where the closure takes more than a linear step.
+            None for both where the verdict needs more evidence: the closure is no single between factor, nothing
+            predicts the free space has to be asked, or another rule than the default decides.
         """
         tie = grown.offered(closure)
         if tie is None or self.options.rule != "log_odds":
@@ -262,7 +288,7 @@ class LoopClosureGate:
         return float(logit(self.options.min_probability))
 
     def _decision(self, terms: Mapping[str, Term], against: Sequence[float], *, is_tied: bool) -> ClosureDecision:
-        """The verdict by some evidence, and by what all the other members say against this one."""
+        """The verdict by some evidence, and by the contradiction of all the other members."""
         odds = min([sum(term.log_odds for term in terms.values()), *against])
         open_: Verdict = "rejected" if odds <= -self._needed else "undecided"
         heaviest = sorted(terms.values(), key=lambda term: -abs(float(np.nan_to_num(term.log_odds))))
@@ -276,7 +302,7 @@ class LoopClosureGate:
 
 
 def _check_values(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> None:
-    """Refuse a map with a key that has no value, or with one of another type than a factor asks for."""
+    """Refuse a map with a key that has no value, or with a value of another type than a factor asks for."""
     missing = next((key for key in graph.keyVector() if not values.exists(key)), None)
     if missing is not None:
         raise MissingValueError(
@@ -301,7 +327,7 @@ def _terms(weight: Weight, pose_graph: PoseGraph) -> dict[str, Term]:
 
 
 def _ties_nothing() -> ClosureDecision:
-    """A closure between keyframes of which nothing can be said, and that moves nothing."""
+    """A closure between keyframes that the map does not relate: no evidence, and no motion."""
     return ClosureDecision(
         verdict="accepted",
         log_odds=np.nan,

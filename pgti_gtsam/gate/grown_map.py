@@ -1,9 +1,9 @@
-"""A reference map and what came since: keyframes that odometry ties to its ends, and closures that passed.
+"""A reference map and the keyframes since: keyframes that odometry ties to its ends, and closures that passed.
 
-A decision does without a new optimum, and its cost does not grow with the map. Relative poses are linear in the errors
-of the reference map and of the steps since. With P the covariance of those that closures c since then and a candidate g
-measure, R the tolerances and e what the closures miss, the candidate misses e_g − P_gc (R + P_cc)⁻¹ e_c, with
-covariance P_gg − P_gc (R + P_cc)⁻¹ P_cg (Gaussian conditioning).
+A decision does without a new optimum, and the cost does not grow with the map. Relative poses are linear in the errors
+of the reference map and of the steps since. With P the covariance of the poses that closures c since then and a
+candidate g measure, R the tolerances and e the residuals of the closures, the candidate differs by e_g − P_gc (R +
+P_cc)⁻¹ e_c, with covariance P_gg − P_gc (R + P_cc)⁻¹ P_cg (Gaussian conditioning).
 """
 
 from __future__ import annotations
@@ -29,16 +29,16 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Tail:
-    """Keyframes since the reference map, each tied to the one before by a step of odometry.
+    """Keyframes since the reference map, each tied to the keyframe before by a step of odometry.
 
     Attributes
     ----------
     poses : tuple of t gtsam.Pose2 or gtsam.Pose3
-        Chained from the reference map, in its axes.
+        Chained from the reference map, in the same axes.
     roots : (t,) int
         Keyframe of the reference map that each hangs on.
     gathered : (t, d, d) float
-        Covariance of what the steps have gathered since the root, in the root's tangent space.
+        Covariance of the errors of the steps since the root, in the root's tangent space.
     """
 
     poses: tuple[Any, ...]
@@ -48,17 +48,17 @@ class Tail:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class GrownMap:
-    """A map as closures meet it in a running pipeline.
+    """A map as closures find the map in a running pipeline.
 
     Attributes
     ----------
     reference : ReferenceMap
-        Of which the free radius, the vertical and the spread are those of the whole.
+        Source of the free radius, the vertical and the spread.
     tail : Tail
     places : dict from key to int
-        Of all keyframes: those of the reference map, then those of the tail.
+        All keyframes: the reference map's, then the tail's.
     ends : dict from robot to key
-        Latest keyframe of each robot, which is the first byte of its keys.
+        Latest keyframe of each robot; the robot is the first byte of the keys.
     closures : Ties
         That passed since.
     """
@@ -96,8 +96,13 @@ class GrownMap:
     def grown(self, factors: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> GrownMap | None:
         """The map with more keyframes.
 
-        None where it takes more than appending: each of them must be tied by one between factor, which measures a
+        None where appending does not suffice: each new keyframe must be tied by one between factor, which measures a
         pose of the map's type from the latest keyframe of its robot.
+
+        Parameters
+        ----------
+        factors, values
+            Of the step.
         """
         # the step to each new keyframe
         model, new = self.reference.settled.model, set(values.keys())
@@ -131,7 +136,7 @@ class GrownMap:
         return replace(self, tail=tail, places=places, ends=ends) if new else self
 
     def offered(self, closure: gtsam.NonlinearFactorGraph) -> Ties | None:
-        """A closure as one tie; None where it is none, or several."""
+        """A closure as a tie; None for no tie, or several."""
         factors = factors_of(closure)
         if len(factors) != 1 or not isinstance(factors[0], BETWEEN):
             return None
@@ -143,7 +148,7 @@ class GrownMap:
         return closures_of([tie], model.unit_m, model.levelling, is_planar=model.is_planar)
 
     def predicted(self, offered: Ties) -> tuple[Array, Array]:
-        """By how much some ties miss what the map predicts, (g, d), and its joint covariance, (g d, g d)."""
+        """Differences of some ties from the map's prediction, (g, d), and their joint covariance, (g d, g d)."""
         ties, d = self.closures.joined(offered), offered.variances.shape[1]
         k, missed, spread = d * len(self.closures.pairs), self._missed(ties), self._covariance(ties.pairs)
         known = spread[:k, :k] + np.diag(self.closures.variances.ravel())
@@ -151,13 +156,13 @@ class GrownMap:
         return (missed[k:] - gain @ missed[:k]).reshape(-1, d), spread[k:, k:] - gain @ spread[:k, k:]
 
     def tied(self, offered: Ties, missed: Array, spread: Array) -> GrownMap | None:
-        """The map with more ties that hold; None where they bend it beyond what a linear step tells.
+        """The map with more ties that hold; None where the ties bend the map beyond a linear step.
 
         Parameters
         ----------
         offered : Ties
         missed, spread
-            As `predicted` has them.
+            As from `predicted`.
         """
         ties, settled = self.closures.joined(offered), self.reference.settled
         tolerance = np.diag(offered.variances.ravel())
@@ -181,7 +186,7 @@ class GrownMap:
         return None if tie is None else self.tied(tie, *self.predicted(tie))
 
     def _missed(self, ties: Ties) -> Array:
-        """e of each tie where the reference map's optimum and the steps since put its keyframes, (k d,)."""
+        """e of each tie at the keyframes of the reference map's optimum and the steps since, (k d,)."""
         places, local = np.unique(ties.pairs, return_inverse=True)
         poses = [self._pose(place) for place in places.tolist()]
         return errors_of(poses, local.reshape(-1, 2), ties.measured).ravel()

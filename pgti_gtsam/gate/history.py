@@ -1,4 +1,4 @@
-"""What a gated smoother did and remembers: its updates, and the closures that it was offered."""
+"""The memory of a gated smoother: updates, and the closures that were offered."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ from pgti_gtsam.gate.decision import ClosureDecision
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class GatedUpdate:
-    """What one update did.
+    """The result of an update.
 
     Attributes
     ----------
     decisions : tuple of ClosureDecision
-        One per closure, in the order given.
+        A decision per closure, in the order given.
     closures : tuple of int
-        Number of each closure, for `GatedISAM2.retract`: closures are counted from 0 as they are offered.
+        Number of each closure, for `GatedISAM2.retract`: closures are counted from 0 in the order offered.
     slots : tuple of tuples of int
-        Slots of the factors of each closure in the smoother; none for a rejected one.
+        Slots of the factors of each closure in the smoother; none for a rejected closure.
     factor_slots : tuple of int
-        Slots of the other factors, empty ones left out.
+        Slots of the other factors, empty slots left out.
     changed : dict of int to ClosureDecision
         New verdicts on earlier closures that were undecided: by number, accepted or rejected by now.
     result : gtsam.ISAM2Result
-        What iSAM2 itself says of the step.
+        The result of iSAM2 itself.
     """
 
     decisions: tuple[ClosureDecision, ...] = ()
@@ -52,7 +52,7 @@ class GatedUpdate:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Review:
-    """What the closures offered so far are worth by all that has been seen since.
+    """The verdicts on the closures offered so far by all later evidence.
 
     Attributes
     ----------
@@ -71,7 +71,7 @@ class Review:
 
 @dataclass(slots=True)
 class Offer:
-    """A closure that was offered, where its factors stand if it is in, and whether its verdict waits for more."""
+    """A closure that was offered, its slots if admitted, and whether the verdict waits for more evidence."""
 
     closure: gtsam.NonlinearFactorGraph
     slots: tuple[int, ...] = ()
@@ -80,14 +80,23 @@ class Offer:
     def standing(self, graph: gtsam.NonlinearFactorGraph) -> list[int]:
         """Slots of a smoother's graph that hold the closure's own factors still.
 
-        The factors themselves are compared and not what they measure: two robust noise models are never equal to GTSAM.
+        The factors themselves are compared, not their measurements: two robust noise models are never equal to GTSAM.
         """
         pairs = zip(self.slots, factors_of(self.closure), strict=False)
         return [slot for slot, factor in pairs if slot < graph.size() and graph.at(slot) is factor]
 
 
 def made_anew(smoother: gtsam.ISAM2, size: int, new: set[int]) -> gtsam.ISAM2:
-    """A smoother of the first factors of another one, in the same slots, and of its values but for the new ones."""
+    """A smoother of the first factors of another smoother, in the same slots, and of its values without the new values.
+
+    Parameters
+    ----------
+    smoother : gtsam.ISAM2
+    size : int
+        Number of slots to keep.
+    new : set of int
+        Keys to leave out.
+    """
     values = gtsam.Values(smoother.getLinearizationPoint())
     for key in new & set(values.keys()):
         values.erase(key)
@@ -96,9 +105,17 @@ def made_anew(smoother: gtsam.ISAM2, size: int, new: set[int]) -> gtsam.ISAM2:
 
 
 def smoother_of(slots: Sequence[Any], values: gtsam.Values, parameters: gtsam.ISAM2Params) -> gtsam.ISAM2:
-    """A smoother of some factors, each in its slot or None for an empty one, linearised at some values.
+    """A smoother of given factors, each in its slot or None for an empty slot, linearised at given values.
 
-    What passed step by step may be singular to rounding as a whole: the smoother factorises by QR then.
+    Closures that passed in turn may together be singular to rounding: the smoother factorises by QR then.
+
+    Parameters
+    ----------
+    slots : sequence of object
+        A factor or None for each slot.
+    values : gtsam.Values
+        Point of linearisation.
+    parameters : gtsam.ISAM2Params
     """
     any_factor = next((factor for factor in slots if factor is not None), None)
     if any_factor is None:

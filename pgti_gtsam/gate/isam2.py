@@ -46,19 +46,19 @@ class GatedISAM2:
     Parameters
     ----------
     smoother : gtsam.ISAM2 or gtsam.ISAM2Params, optional
-        One that the caller owns, or the parameters of a new one. The caller may go on using it, as long as
-        it leaves the slots of admitted closures alone.
+        A smoother of the caller, or the parameters of a new smoother. The caller may go on using the smoother, but
+        must leave the slots of admitted closures alone.
     gate : LoopClosureGate, optional
     radii : float or mapping from key to float, m, optional
         As in `from_gtsam`; a mapping grows by `radii=` of `update`.
 
     Notes
     -----
-    A rejected closure never reaches the smoother, whose estimate is then bit for bit what it would be had
-    the closure not come. Bad input is refused before the smoother is touched. Where iSAM2 itself fails in the middle of
-    a step, it is made anew at `smoother`, with the factors from before in their slots.
+    A rejected closure never reaches the smoother: the estimate is bit for bit the estimate without
+    the closure. Bad input is refused before the smoother is touched. Where iSAM2 itself fails in the middle of
+    a step, `smoother` is made anew, with the factors from before in their slots.
 
-    An undecided closure waits, and is judged again with those that come later.
+    An undecided closure waits, and is judged again with later closures.
 
     A map that grows by steps of odometry alone is read once and kept: see `GrownMap`. Decisions by a kept map hold no
     scores; where the gate's options ask for them, the map is read anew each time.
@@ -82,25 +82,25 @@ class GatedISAM2:
         check_radii(self.radii)
 
     def state(self) -> State:
-        """All of it but gate and parameters, as JSON-ready text and numbers; raises what `saved.encoded` raises."""
+        """The whole state but gate and parameters, as JSON-ready text and numbers; raises as `saved.encoded` does."""
         return encoded(Parts(smoother=self.smoother, radii=self.radii, offers=self._offers, kept=self._kept))
 
     @classmethod
     def resumed(
         cls, state: State, parameters: gtsam.ISAM2Params | None = None, gate: LoopClosureGate | None = None
     ) -> GatedISAM2:
-        """One that goes on where `state` was taken.
+        """A gated smoother that continues from `state`.
 
         Parameters
         ----------
         state : dict
         parameters, gate
-            As they were at the first start: they are not part of the state.
+            As at the first start: parameters are not part of the state.
 
         Raises
         ------
         InvalidGraphError, PgtiError
-            Those of `saved.decoded` and of `LoopClosureGate.reference_map`.
+            As of `saved.decoded` and of `LoopClosureGate.reference_map`.
         """
         gate = LoopClosureGate() if gate is None else gate
         parts = decoded(state, gtsam.ISAM2Params() if parameters is None else parameters, gate)
@@ -109,7 +109,7 @@ class GatedISAM2:
         return found
 
     def save(self, path: Path | str) -> None:
-        """Write `state` to a file, which is whole or as before even if the power fails."""
+        """Write `state` to a file; a power failure leaves the old file or the new file."""
         outputs.write_text(path, json.dumps(self.state()))
 
     @classmethod
@@ -119,7 +119,14 @@ class GatedISAM2:
         parameters: gtsam.ISAM2Params | None = None,
         gate: LoopClosureGate | None = None,
     ) -> GatedISAM2:
-        """Read what `save` wrote; see `resumed`."""
+        """Read the file of `save`; see `resumed`.
+
+        Parameters
+        ----------
+        path : Path or str
+        parameters, gate
+            As for `resumed`.
+        """
         return cls.resumed(read_state(Path(path)), parameters, gate)
 
     def __getattr__(self, name: str) -> Any:
@@ -136,25 +143,25 @@ class GatedISAM2:
         radii: Mapping[int, float] | None = None,
         **options: Any,
     ) -> GatedUpdate:
-        """Add factors and values as `gtsam.ISAM2.update` does, and of the closures those that pass together.
+        """Add factors and values as `gtsam.ISAM2.update` does, and the closures that pass together.
 
         Parameters
         ----------
         factors, values : optional
             New factors, not gated, and first values of the new variables.
         closures : sequence of gtsam.NonlinearFactorGraph, factors or lists of factors
-            Each holds the factors of one closure, which stand or fall together.
+            Each holds the factors of a closure, which pass or fail together.
         radii : mapping from key to float, m, optional
             Radii of new keyframes.
         **options
-            Other arguments of `gtsam.ISAM2.update`, by their names there.
+            Other arguments of `gtsam.ISAM2.update`, by GTSAM's names.
 
         Raises
         ------
         InvalidClosureError, PgtiError
-            Those of `LoopClosureGate.evaluate`; a new factor or value that does not belong. Nothing has changed then.
+            As of `LoopClosureGate.evaluate`; a new factor or value that does not belong. Nothing has changed then.
         UnsolvableGraphError
-            A step that iSAM2 fails in. The smoother was made anew, as it was before.
+            A step that iSAM2 fails in. The smoother was made anew, with the state before.
         """
         # what comes in
         values = gtsam.Values() if values is None else values
@@ -176,7 +183,7 @@ class GatedISAM2:
         return GatedUpdate(factor_slots=tuple(result.getNewFactorsIndices()), result=result)
 
     def _updated_with(self, closures: Sequence[Closure], news: News, options: Mapping[str, Any]) -> GatedUpdate:
-        """One update with closures: of these, and of those that wait, what passes together."""
+        """An update with closures: of the new and the waiting, those that pass together."""
         # judge the closures, and those that wait again
         offered = closure_graphs(closures)
         waiting = {number: offer.closure for number, offer in enumerate(self._offers) if offer.is_waiting}
@@ -226,17 +233,17 @@ class GatedISAM2:
         Raises
         ------
         InvalidClosureError
-            No such closure is in; its slots hold other factors by now; or a variable hangs on it alone.
+            No such closure is in; its slots hold other factors by now; or a variable depends on the closure alone.
         """
         self._replace([closure], [])
 
     def review(self, closures: Collection[int] | None = None) -> Review:
-        """Judge again every revisit of which a closure is in, by all that has been seen since.
+        """Judge again every revisit with an admitted closure, by all later evidence.
 
         Parameters
         ----------
         closures : collection of int, optional
-            Only the revisits that these belong to: those of the last update, say, when it rejected one.
+            Only the revisits of these closures: those of the last update, say, after a rejection.
 
         Returns
         -------
@@ -244,9 +251,9 @@ class GatedISAM2:
 
         Notes
         -----
-        Each revisit is left out of the map and offered anew, those of its closures that were rejected
-        included: leave-one-out for a closure that stands alone, and a fresh vote where several came one
-        after another and the first ones had only themselves to agree with. Changes nothing: see `revise`.
+        Each revisit is left out of the map and offered anew, its rejected closures
+        included: leave-one-out for a single closure, and a fresh vote where several came in
+        turn and the first had only each other to agree with. Changes nothing: see `revise`.
         """
         asked = range(len(self._offers)) if closures is None else closures
         decisions: dict[int, ClosureDecision] = {}
@@ -276,7 +283,7 @@ class GatedISAM2:
         )
 
     def revise(self, review: Review) -> None:
-        """Take out what a review condemns and admit what it redeems, in one step.
+        """Take out the closures that a review condemns and admit those that the review redeems, in a step.
 
         Raises
         ------
@@ -297,7 +304,7 @@ class GatedISAM2:
     def _step(
         self, factors: gtsam.NonlinearFactorGraph, values: gtsam.Values, options: Mapping[str, Any]
     ) -> gtsam.ISAM2Result:
-        """One step of the smoother, which is made anew where the step fails."""
+        """A step of the smoother; a failed step makes the smoother anew."""
         size = self.smoother.getFactorsUnsafe().size()
         try:
             return self.smoother.update(factors, values, **options)
@@ -347,7 +354,7 @@ class GatedISAM2:
         return self._offers[number]
 
     def _check_held(self, removed: Sequence[int]) -> None:
-        """Refuse to remove the last factors of a variable, which iSAM2 would silently drop with them."""
+        """Refuse to remove the last factors of a variable: iSAM2 would silently drop the variable."""
         graph = self.smoother.getFactorsUnsafe()
         held = {key for factor in factors_of(without(graph, removed)) for key in keys_of(factor)}
         free = next((key for slot in removed for key in keys_of(graph.at(slot)) if key not in held), None)
@@ -358,7 +365,7 @@ class GatedISAM2:
             )
 
     def _revisits(self) -> list[list[int]]:
-        """Numbers of the closures of every revisit of which at least one is in."""
+        """Numbers of the closures of every revisit with an admitted closure."""
         ends = self._ends()
         numbers = list(ends)
         pose_graph = self.gate.adapted(self.smoother.getFactorsUnsafe(), self.estimate(), self.radii)

@@ -18,7 +18,7 @@ from pgti_gtsam.pose_graph import Radii
 
 
 class News(NamedTuple):
-    """A smoother before a step, what the step brings, and the radii of all keyframes."""
+    """A smoother before a step, the new factors and values, and the radii of all keyframes."""
 
     smoother: gtsam.ISAM2
     factors: gtsam.NonlinearFactorGraph
@@ -27,7 +27,7 @@ class News(NamedTuple):
 
 
 def check_news(news: News) -> None:
-    """Refuse what iSAM2 would stumble over."""
+    """Refuse input on which iSAM2 would fail."""
     has, new = news.smoother.valueExists, set(news.values.keys())
     known = next(filter(has, new), None)
     if known is not None:
@@ -45,7 +45,7 @@ def check_news(news: News) -> None:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Judged:
-    """Verdicts on new closures and, by number, on those that waited; the map with what passed, where it is known."""
+    """Verdicts on new closures and, by number, on waiting closures; the map with passed closures, where known."""
 
     decisions: tuple[ClosureDecision, ...] = ()
     waiting: Mapping[int, ClosureDecision] = field(default_factory=dict)
@@ -54,9 +54,9 @@ class Judged:
 
 @dataclass(slots=True)
 class KeptMap:
-    """The map at the last closure and what came since; nothing where the next closure needs a new one.
+    """The map at the last closure with the growth since; empty where the next closure needs a new map.
 
-    An update without closures only notes what it brought.
+    An update without closures only notes the growth.
     """
 
     map: GrownMap | None = None
@@ -70,20 +70,20 @@ class KeptMap:
         waiting: Mapping[int, gtsam.NonlinearFactorGraph],
         closures: Sequence[gtsam.NonlinearFactorGraph],
     ) -> Judged:
-        """Verdicts by the kept map where that is enough, else by one made anew.
+        """Verdicts by the kept map where that suffices, else by a new map.
 
         Parameters
         ----------
         gate : LoopClosureGate
         new : News
         waiting : mapping from int to gtsam.NonlinearFactorGraph
-            Closures that were undecided; they are judged again where the map is made anew.
+            Undecided closures, judged again where the map is made anew.
         closures : sequence of gtsam.NonlinearFactorGraph
 
         Raises
         ------
         InvalidClosureError, PgtiError
-            Those of `LoopClosureGate.evaluate`.
+            As of `LoopClosureGate.evaluate`.
         UnsolvableGraphError
             Measurements so far apart in scale that their sums are rounding.
         """
@@ -111,13 +111,27 @@ class KeptMap:
         return _judged_anew(gate, new, waiting, closures)
 
     def note(self, factors: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> None:
-        """What a step without closures brought."""
+        """Note the growth of a step without closures.
+
+        Parameters
+        ----------
+        factors, values
+            Of the step.
+        """
         self.n_factors += factors.size()
         if self.map is not None:
             self.news.append((factors, values))
 
     def keep(self, map_: GrownMap | None, smoother: gtsam.ISAM2) -> None:
-        """The map with all that a step with closures brought."""
+        """The map with all that a step with closures brought.
+
+        Parameters
+        ----------
+        map_ : GrownMap, optional
+            The map with the closures of the step, if known.
+        smoother : gtsam.ISAM2
+            The smoother after the step.
+        """
         self.map, self.news, self.n_factors = map_, [], smoother.getFactorsUnsafe().nrFactors()
 
     def forget(self) -> None:
@@ -142,7 +156,7 @@ def _judged_anew(
     waiting: Mapping[int, gtsam.NonlinearFactorGraph],
     closures: Sequence[gtsam.NonlinearFactorGraph],
 ) -> Judged:
-    """Verdicts by the whole map as the smoother has it."""
+    """Verdicts by the whole map of the smoother."""
     estimate = new.smoother.calculateEstimate()
     estimate.insert(new.values)
     graph = joined(new.smoother.getFactorsUnsafe(), new.factors)
@@ -162,7 +176,7 @@ def _judged_anew(
 def _checked_between(
     grown: GrownMap, closure: gtsam.NonlinearFactorGraph, new: News
 ) -> gtsam.NonlinearFactorGraph | None:
-    """A closure between keyframes of the kept map, checked at their values; None where it is none."""
+    """A closure between keyframes of the kept map, checked at their values; None for any other closure."""
     keys = {key for factor in factors_of(closure) for key in keys_of(factor)}
     if not all(key in grown.places for key in keys):
         return None

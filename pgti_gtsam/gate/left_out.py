@@ -1,7 +1,7 @@
-"""What all other ties of a map predict of each of its ties, from one factorisation.
+"""The prediction of each tie by all other ties of a map, from a single factorisation.
 
-With the residual r at the optimum, its tolerance R, the covariance C of the relative pose and S = R − C, a tie misses
-what the others predict by e = R S⁻¹ r, and the covariance of that prediction is R S⁻¹ R − R (leave-one-out residuals of
+With the residual r at the optimum, the tolerance R, the covariance C of the relative pose and S = R − C, a tie differs
+from the prediction of the others by e = R S⁻¹ r, with the covariance R S⁻¹ R − R (leave-one-out residuals of
 linear least squares: Cook and Weisberg, Residuals and Influence in Regression, 1982, chapter 2).
 """
 
@@ -23,9 +23,15 @@ Array = NDArray[np.float64]
 
 
 def left_out(settled: Settled, ties: NDArray[np.int64]) -> tuple[Array, Array]:
-    """By how much some ties miss what all others predict, (k, d), and the covariance of that, (k, d, d).
+    """Differences of ties from the prediction by all others, (k, d), and their covariances, (k, d, d).
 
-    A tie that pulls at nothing misses by its residual. Where no other tie leads, the covariance is NaN.
+    The difference of a tie that pulls at nothing is its residual. Without a path by other ties, the covariance is NaN.
+
+    Parameters
+    ----------
+    settled : Settled
+    ties : (k,) int
+        Indices of ties.
     """
     model, active = settled.model, settled.active[ties]
     spread, residuals = settled.covariances(model.ties.pairs[ties]), settled.residuals[ties]
@@ -35,7 +41,14 @@ def left_out(settled: Settled, ties: NDArray[np.int64]) -> tuple[Array, Array]:
 
 
 def left_out_together(settled: Settled, groups: Sequence[NDArray[np.int64]]) -> list[tuple[Array, Array]]:
-    """By how much the ties of each group miss what all others predict, (g, d), and its covariance, (g d, g d)."""
+    """Differences of each group's ties from the prediction by all others, (g, d), and the covariance, (g d, g d).
+
+    Parameters
+    ----------
+    settled : Settled
+    groups : sequence of (k,) int
+        Indices of ties.
+    """
     ties, found = settled.model.ties, []
     spreads = settled.joint_covariances([ties.pairs[group] for group in groups])
     for group, spread in zip(groups, spreads, strict=True):

@@ -16,19 +16,19 @@ RULES = ("log_odds", "global_rise", "keyframe_rise")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GateOptions:
-    """What the gate weighs, and how sure it must be.
+    """The evidence that the gate weighs, and the probability that the gate asks for.
 
     Attributes
     ----------
     rule : {"log_odds", "global_rise", "keyframe_rise"}
-        The default adds up what the drift and the free space say. The others are the paper's rule (section 6.3.1) on
-        its own: reject a closure when Λ_glob rises by more than `max_rise`, or when any keyframe's ζ does.
+        The default adds up the evidence of drift and free space. The others are the paper's rule (section 6.3.1)
+        alone: reject a closure when Λ_glob rises by more than `max_rise`, or when any keyframe's ζ does.
     min_probability : float
-        A closure is accepted from this probability on, rejected from its complement down, and undecided between.
+        A closure is accepted from this probability on, rejected from the complement down, and undecided between.
     max_rise : float
-        Of the paper's rule, which names no number.
+        Of the paper's rule; the paper names no number.
     scores : bool, optional
-        Whether decisions hold Λ and Λ_glob before and after. Left out, they do where the map's keyframes, times the
+        Whether decisions hold Λ and Λ_glob before and after. By default where the map's keyframes, times the
         revisits that are judged together, are no more than `SCORED`.
     beta : float
         β of Λ_loc and Λ_glob.

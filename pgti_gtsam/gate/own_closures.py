@@ -1,7 +1,7 @@
 """A finished map's own closures, each judged against all the others by the drift model.
 
-False closures that agree vouch for each other, and many false ones tear the map for all. So the worst are taken out,
-the rest is looked at again, and what fits the rest after all is let in again.
+False closures that agree vouch for each other, and many false closures bend the whole map. So the worst are taken out,
+the rest is looked at again, and closures that fit the rest after all are admitted again.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class OwnClosures:
     Attributes
     ----------
     ties : (k,) int
-        Which ties of the drift model they are.
+        Indices of the closures among the ties of the drift model.
     slots : (k,) int
         Slots in the factor graph.
     pairs : (k, 2) int
@@ -51,17 +51,17 @@ class OwnClosures:
         Of true against false, given the closures that were not taken out; NaN where nothing else leads between the
         keyframes.
     missed_m, missed_rad : (k,) float
-        Distance and angle by which each misses what the others predict.
+        Distance and angle between each closure and the prediction by the others.
     allowed_m : (k,) float
-        Standard deviation of that prediction's position along its least certain axis.
+        Standard deviation of the predicted position along the least certain axis.
     is_false : (k,) bool
         Taken out.
     drift_scale : float
-        Factor by which the odometry errs more than the model's, 1 at least.
+        Factor by which the odometry errs more than the model's, at least 1.
     n_rounds : int
         How often the rest was looked at again.
     settled : Settled
-        The map without those that were taken out.
+        The map without the closures that were taken out.
     """
 
     ties: NDArray[np.int64]
@@ -89,7 +89,7 @@ def own_closures(model: DriftModel) -> OwnClosures:
     Raises
     ------
     UnsolvableGraphError
-        Those of `settle`.
+        As of `settle`.
     """
     closures, active = model.ties.closures, np.ones(len(model.ties.pairs), dtype=bool)
     returned, charge = np.zeros(len(closures), dtype=bool), np.full(len(closures), np.nan)
@@ -135,7 +135,7 @@ def own_closures(model: DriftModel) -> OwnClosures:
 
 
 def _revisits(model: DriftModel) -> list[NDArray[np.int64]]:
-    """Ties of closures that say the same: those of one revisit, two to `TOGETHER` of them."""
+    """Ties of closures of a revisit that agree, two to `TOGETHER` of them."""
     closures = model.ties.closures
     group_of = neighbourhoods(model.ties.pairs[closures], model.along).group_of
     order = np.argsort(group_of, kind="stable")
@@ -144,10 +144,10 @@ def _revisits(model: DriftModel) -> list[NDArray[np.int64]]:
 
 
 def _together(settled: Settled, groups: list[NDArray[np.int64]], odds: Array, poorer: float) -> Array:
-    """Log odds of every closure by what all but its revisit say of the revisit; NaN where the revisit does not agree.
+    """Log odds of every closure by the evidence of all other revisits; NaN where the revisit does not agree.
 
-    False closures of one revisit predict each other. So the revisit is weighed as a whole, against one false offset
-    that all its members share, wherever each member by itself passes for true.
+    False closures of a revisit predict each other. So the revisit is weighed as a whole, against a false offset
+    shared by all members, wherever each member by itself passes for true.
     """
     model = settled.model
     row = np.full(len(model.ties.pairs), -1)
@@ -161,7 +161,16 @@ def _together(settled: Settled, groups: list[NDArray[np.int64]], odds: Array, po
 
 
 def poorer_odometry(model: DriftModel, missed: Array, others: Array) -> float:
-    """Factor by which the odometry's variance exceeds the model's, by the median closure; from 1 to `POOREST`."""
+    """Factor by which the odometry's variance exceeds the model's, by the median closure; from 1 to `POOREST`.
+
+    Parameters
+    ----------
+    model : DriftModel
+    missed : (k, d) float
+        Differences of closures from the prediction by the others.
+    others : (k, d, d) float
+        Covariances of the predictions.
+    """
     tolerance = np.diag(model.variances(OFFSET, OFFSET_RAD))
     squares = np.einsum("ka,ka->k", missed, np.linalg.solve(others + tolerance, missed[:, :, None])[:, :, 0])
     known = squares[np.isfinite(squares)]

@@ -1,4 +1,4 @@
-"""The paper's gate (section 6.3.1) on its own: a closure is spurious when the integrity score jumps.
+"""The paper's gate (section 6.3.1) alone: a closure is spurious when the integrity score jumps.
 
 Every revisit is tied when its last match has come, and kept if the score does not jump. The paper names Λ_glob. Its
 maximum over the map and over the map's own times hides a jump behind an old defect; with the rule "keyframe_rise"
@@ -21,7 +21,17 @@ from pgti_gtsam.integrity import Integrity
 def admitted(
     settled: Settled, weights: list[Weight], integrity_of: Callable[[Settled], Integrity], options: GateOptions
 ) -> tuple[Settled, list[dict[str, Term]]]:
-    """The map with the revisits that pass, and what was measured of each."""
+    """The map with the revisits that pass, and the measurements of each.
+
+    Parameters
+    ----------
+    settled : Settled
+    weights : list of Weight
+        Evidence of each revisit.
+    integrity_of : callable
+        The scores of a map.
+    options : GateOptions
+    """
     before = integrity_of(settled)
     terms: list[dict[str, Term]] = [{} for _ in weights]
     for k in sorted(range(len(weights)), key=lambda k: int(settled.model.ties.pairs[weights[k].ties].max())):
@@ -36,7 +46,7 @@ def admitted(
 
 
 def _term(before: Integrity, after: Integrity, options: GateOptions) -> Term:
-    """The jump in words; the rule knows no odds, so that those are certain either way."""
+    """The jump in words; the rule knows no odds, so that the odds are certain either way."""
     if options.rule == "global_rise":
         change = Change(before=before.split(options.beta).global_, after=after.split(options.beta).global_)
         what = "Λ_glob"

@@ -33,7 +33,7 @@ class ReferenceMap:
     pose_graph : PoseGraph
         The map as the gate reads it.
     settled : Settled
-        The drift model of all its ties.
+        The drift model of all ties.
     beta : float
         β of Λ_glob.
     """
@@ -50,17 +50,24 @@ class ReferenceMap:
     ) -> ReferenceMap:
         """Settle the drift model of a map.
 
+        Parameters
+        ----------
+        graph, values
+        pose_graph : PoseGraph
+        beta : float
+            Share of the times that is local.
+
         Raises
         ------
         NoRadiusError, UnsolvableGraphError
-            Those of `drift_model` and `settle`.
+            As of `drift_model` and `settle`.
         """
         settled = settle(drift_model(graph, values, pose_graph))
         return cls(graph=graph, keyframes=read_keyframes(values), pose_graph=pose_graph, settled=settled, beta=beta)
 
     @property
     def n_ties(self) -> int:
-        """Number of the map's own ties; those of candidates follow."""
+        """Number of the map's own ties; candidates follow."""
         return len(self.settled.active)
 
     @property
@@ -70,7 +77,7 @@ class ReferenceMap:
 
     @cached_property
     def contacts(self) -> Contacts:
-        """Which keyframes are connected, and which only touch, where the drift model has them."""
+        """The pairs of keyframes that are connected, and those that only touch, at the drift model's optimum."""
         return contacts(self._own)
 
     @cached_property
@@ -79,9 +86,10 @@ class ReferenceMap:
         return ScoredMap.of(self._own, self.beta)
 
     def offered(self, closures: Sequence[gtsam.NonlinearFactorGraph]) -> tuple[Settled, list[list[int]]]:
-        """The map with some closures as ties that do not hold yet, and which ties each closure is.
+        """The map with given closures as ties that do not hold yet, and the ties of each closure.
 
-        Sightings of landmarks are the relative pose that they imply; a closure that ties no two keyframes is no tie.
+        Sightings of landmarks count as the relative pose that they imply; a closure that ties no two keyframes is no
+        tie.
         """
         ties = [measured_ties(each, self.keyframes) or self._implied(each) for each in closures]
         ends = self.n_ties + np.cumsum([0, *map(len, ties)])
@@ -93,7 +101,7 @@ class ReferenceMap:
         return [] if tie is None else [tie]
 
     def revisits(self, offered: Settled) -> list[NDArray[np.int64]]:
-        """Candidate ties of one revisit that say the same, together."""
+        """Groups of candidate ties of a revisit that agree."""
         way = track_of(self.pose_graph).way_m / offered.model.unit_m
         return agreeing(offered, np.arange(self.n_ties, len(offered.active)), way)
 

@@ -1,4 +1,4 @@
-"""Closures of one revisit: the same stretch of track passed again, match after match."""
+"""Closures of a revisit: the same stretch of track passed again, match after match."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ def revisits(
 ) -> list[list[int]]:
     """Group closures by revisit.
 
-    A closure joins the latest revisit whose last match it follows within `window` keyframes or `reach`, whichever is
-    farther, at both ends, in either direction of travel, unless that grows longer than `SPAN`; else it opens a revisit
-    of its own.
+    A closure joins the latest revisit if the last match lies within `window` keyframes or `reach`, whichever is
+    farther, at both ends, in either direction of travel, unless the revisit grows longer than `SPAN`; else the closure
+    opens a revisit.
 
     Parameters
     ----------
@@ -42,7 +42,7 @@ def revisits(
     Returns
     -------
     list of list of int
-        Places in `ends`, by time of the later keyframe; revisits by that of their last match.
+        Indices in `ends`, by time of the later keyframe; revisits by time of the last match.
     """
 
     def near(one: int, other: int) -> bool:

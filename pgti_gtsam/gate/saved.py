@@ -1,8 +1,8 @@
-"""A gated smoother written down: its factors, values, closures and radii, and the map that it keeps between closures.
+"""A gated smoother written down: factors, values, closures and radii, and the map kept between closures.
 
 Factors and values are GTSAM's own text archives, which hold every number exactly; all else is JSON. iSAM2 itself has no
 archive: the smoother is made anew from its factors, linearised where it was. The kept map's reference is settled anew
-from the factors and the estimate that it was made of, so that the next verdicts are those of a run without a break.
+from the factors and the estimate at that time, so that the next verdicts equal those of a run without a break.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ State = dict[str, Any]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Parts:
-    """What a gated smoother is made of, but for its gate."""
+    """The parts of a gated smoother, without the gate."""
 
     smoother: gtsam.ISAM2
     radii: Radii | None
@@ -75,10 +75,17 @@ def encoded(parts: Parts) -> State:
 def decoded(state: State, parameters: gtsam.ISAM2Params, gate: LoopClosureGate) -> Parts:
     """The parts of a state.
 
+    Parameters
+    ----------
+    state : State
+    parameters : gtsam.ISAM2Params
+        Of iSAM2.
+    gate : LoopClosureGate
+
     Raises
     ------
     InvalidGraphError
-        No state, or one of another version.
+        No state, or a state of another version.
     """
     if state.get("schema") != SCHEMA or state.get("schema_version") != VERSION:
         raise InvalidGraphError(
@@ -120,7 +127,7 @@ def read_state(path: Path) -> State:
     Raises
     ------
     FileFormatError
-        It is no JSON object.
+        The text is no JSON object.
     """
     try:
         state = json.loads(path.read_text(encoding="utf-8"))
@@ -132,7 +139,7 @@ def read_state(path: Path) -> State:
 
 
 def _placed(offer: Offer, graph: gtsam.NonlinearFactorGraph, apart: gtsam.NonlinearFactorGraph) -> list[int]:
-    """Where each factor of a closure is: its slot in the smoother, or −1 − its slot among those apart."""
+    """Place of each factor of a closure: the slot in the smoother, or −1 − the slot among the separate factors."""
     standing, factors = set(offer.standing(graph)), factors_of(offer.closure)
     found = [slot if slot in standing else -1 for slot in offer.slots] or [-1] * len(factors)
     for k, factor in enumerate(factors):

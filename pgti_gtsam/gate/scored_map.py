@@ -1,4 +1,4 @@
-"""A map whose Λ and Λ_glob are known, and from which those of maps that differ by a few edges follow quickly."""
+"""A map with known Λ and Λ_glob, from which the scores of maps with a few more edges follow quickly."""
 
 from __future__ import annotations
 
@@ -43,7 +43,14 @@ class ScoredMap:
 
     @classmethod
     def of(cls, pose_graph: PoseGraph, beta: float) -> ScoredMap:
-        """Factorise a map, which takes as long as two new heat kernels."""
+        """Factorise a map, at the cost of two new heat kernels.
+
+        Parameters
+        ----------
+        pose_graph : PoseGraph
+        beta : float
+            Share of the times that is local.
+        """
         n, (edges, merged) = len(pose_graph), _edges_of(pose_graph)
         pose, free = (SpectralState.of(n, pairs_of(codes, n), TOLERANCE) for codes in (edges, merged))
         known = scores(pose.kernel, free.kernel, beta=beta)

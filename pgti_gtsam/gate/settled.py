@@ -1,4 +1,4 @@
-"""A drift model at its optimum: where the keyframes are, what its ties miss, and what they predict.
+"""A drift model at its optimum: poses of the keyframes, residuals of the ties, and predictions.
 
 The information matrix is factorised once, and every covariance is asked of the factors.
 """
@@ -52,7 +52,7 @@ class Settled:
     steps : (n, d) float
         δ, a last, linear step of every keyframe.
     residuals : (m, d) float
-        Error of every tie after it.
+        Error of every tie at the optimum.
     factor : BlockFactor
         Of the information matrix.
     """
@@ -85,7 +85,7 @@ class Settled:
     def toggled(self, ties: NDArray[np.int64]) -> tuple[tuple[Any, ...], NDArray[np.bool_]]:
         """Poses, and ties that hold, where some ties that do not hold did, or where some that hold did not.
 
-        To first order, δ = −H⁻¹ Jᵀ (±R + J H⁻¹ Jᵀ)⁻¹ e, as far as that is good enough; else the optimum itself.
+        To first order, δ = −H⁻¹ Jᵀ (±R + J H⁻¹ Jᵀ)⁻¹ e, as far as that suffices; else the optimum itself.
         """
         active = self.active.copy()
         active[ties] = ~active[ties]
@@ -132,7 +132,7 @@ def _residuals(ties: Ties, poses: Sequence[Any], steps: Array) -> Array:
 
 
 def _batches(sizes: Sequence[int], most: int) -> Iterator[list[int]]:
-    """Neighbours together, up to so much in sum; what is larger by itself stays alone."""
+    """Groups of neighbours, up to a limit of the sum; an item above the limit stays alone."""
     batch: list[int] = []
     for k, size in enumerate(sizes):
         if batch and sum(sizes[b] for b in batch) + size > most:
@@ -168,7 +168,7 @@ def settle(model: DriftModel, active: NDArray[np.bool_] | None = None, start: Se
     ----------
     model : DriftModel
     active : (m,) bool, optional
-        Ties that hold, all without; the others pull at nothing.
+        Ties that hold, by default all; the others pull at nothing.
     start : Settled, optional
         Where to begin; the estimate without.
 
@@ -203,7 +203,7 @@ def settle(model: DriftModel, active: NDArray[np.bool_] | None = None, start: Se
 def _optimum(
     model: DriftModel, active: NDArray[np.bool_], component: NDArray[np.int32], start: Sequence[Any]
 ) -> list[Any]:
-    """Poses by Levenberg-Marquardt, whose damping knows no units: lengths are in ρ. False closures tear at the map."""
+    """Poses by Levenberg-Marquardt, whose damping knows no units: lengths are in ρ. False closures bend the map."""
     inverse, unit = 1 / model.unit_m, np.ones(len(model.spread))
     unit[model.translation] = model.unit_m**2
     prior = gtsam.PriorFactorPose2 if model.is_planar else gtsam.PriorFactorPose3
@@ -224,12 +224,12 @@ def _optimum(
 
 
 def _scaled(pose: Any, scale: float) -> Any:
-    """The same pose with its lengths in another unit."""
+    """The same pose with lengths in another unit."""
     return type(pose)(pose.rotation(), scale * pose.translation())
 
 
 def _anchors(model: DriftModel, component: NDArray[np.int32]) -> Array:
-    """Diagonal blocks of what holds keyframes in the world: one of every part, and `held` ones."""
+    """Diagonal blocks of the priors in the world: one of every part, and of `held` keyframes."""
     information = np.zeros((len(model.poses), len(model.spread), len(model.spread)))
     information[model.held] = np.diag(1 / model.variances(HELD, np.inf))
     information[_fixed(model, component)] += np.diag(1 / model.variances(ANCHOR, ANCHOR))
@@ -237,13 +237,13 @@ def _anchors(model: DriftModel, component: NDArray[np.int32]) -> Array:
 
 
 def _placed(model: DriftModel, component: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Parts between which something predicts relative poses: those that are held in the world are one."""
+    """Parts between which relative poses are predicted: parts with a position in the world count as connected."""
     held = np.isin(component, component[model.held])
     return np.where(held, -1, component).astype(np.int32)
 
 
 def _fixed(model: DriftModel, component: NDArray[np.int32]) -> NDArray[np.int64]:
-    """The keyframe that each part is fixed at: the first one that is held in the world, else the first of all."""
+    """The keyframe at which each part is fixed: the first with a position in the world, else the first of all."""
     order = np.argsort(~model.held, kind="stable")
     return np.asarray(order[np.unique(component[order], return_index=True)[1]])
 

@@ -1,4 +1,4 @@
-"""What ties keyframes together, and how well: odometry, closures and what two keyframes both see, in units of ρ."""
+"""Constraints between keyframes with their tolerances: odometry, closures and shared landmarks, in units of ρ."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Ties:
-    """What holds keyframes together, and how well.
+    """Constraints between keyframes, with their tolerances.
 
     Attributes
     ----------
@@ -47,9 +47,9 @@ class Ties:
     variances : (m, d) float
         In the tangent space of j, in GTSAM's order.
     slots : (m,) int
-        Slot of the loop closure that the tie is; −1 for odometry and what both keyframes see.
+        Slot of the loop closure; −1 for odometry and shared landmarks.
     drifts : (m,) float
-        Variance of the heading that a step of odometry gathers, rad²; zero of what is none.
+        Variance of the heading that a step of odometry gathers, rad²; zero for other ties.
     """
 
     pairs: NDArray[np.int64]
@@ -60,7 +60,7 @@ class Ties:
 
     @property
     def closures(self) -> NDArray[np.int64]:
-        """Which ties are loop closures."""
+        """Whether each tie is a loop closure."""
         return np.flatnonzero(self.slots >= 0)
 
     def only(self, chosen: NDArray[np.bool_]) -> Ties:
@@ -85,7 +85,14 @@ class Ties:
         )
 
     def levelled(self, body: Upright, unit: float) -> Ties:
-        """The same ties between poses that are turned so that their z axis is the body's vertical, in space only."""
+        """The same ties between poses turned so that the z axis is the body's vertical, in space only.
+
+        Parameters
+        ----------
+        body : Upright
+        unit : float
+            ρ, m.
+        """
         turn = gtsam.Pose3(body.levelling, np.zeros(3))
         measured = tuple(turn.inverse().compose(z).compose(turn) for z in self.measured)
         variances, steps = self.variances.copy(), np.flatnonzero(self.drifts > 0)
@@ -96,7 +103,16 @@ class Ties:
 
 
 def ties_of(graph: gtsam.NonlinearFactorGraph, pose_graph: PoseGraph, poses: Sequence[Any], unit: float) -> Ties:
-    """Odometry, closures and what two keyframes both see, of the edges in their order."""
+    """Odometry, closures and shared landmarks, of the edges in order.
+
+    Parameters
+    ----------
+    graph : gtsam.NonlinearFactorGraph
+    pose_graph : PoseGraph
+    poses : sequence of object
+    unit : float
+        ρ, m.
+    """
     planar = isinstance(poses[0], gtsam.Pose2)
     keys = pose_graph.keys.tolist()
     rows: list[tuple[tuple[int, int], Any, Array, int, float]] = []
@@ -128,7 +144,15 @@ def ties_of(graph: gtsam.NonlinearFactorGraph, pose_graph: PoseGraph, poses: Seq
 
 
 def step_variances(step: Any, unit: float) -> Array:
-    """Variances of a step of odometry, in the tangent space of its end, (d,): it drifts with its length."""
+    """Variances of a step of odometry, in the tangent space of the end, (d,): errors grow with the step's length.
+
+    Parameters
+    ----------
+    step : gtsam.Pose2 or gtsam.Pose3
+        Measured, lengths in ρ.
+    unit : float
+        ρ, m.
+    """
     drift, planar = _drift(step, unit), isinstance(step, gtsam.Pose2)
     variances = variances_of(drift * unit, drift, is_planar=planar)
     variances[translation_of(planar)] += np.square(STRETCH / DRIFT * drift * unit * _direction(step))
@@ -155,7 +179,18 @@ def free_space_unit(pose_graph: PoseGraph) -> float:
 
 
 def closures_of(offered: Sequence[tuple[int, int, Any]], unit: float, levelling: Any, *, is_planar: bool) -> Ties:
-    """Closures as ties, numbered in their order; poses of the plane become poses in space where the map is there."""
+    """Closures as ties, numbered in order; poses of the plane become poses in space where the map is spatial.
+
+    Parameters
+    ----------
+    offered : sequence of tuple
+        Index, index and measured pose of each closure.
+    unit : float
+        ρ, m.
+    levelling : object
+    is_planar : bool
+        Whether the map is planar.
+    """
     poses = [_alike(z, is_planar) for _, _, z in offered]
     tolerance = variances_of(OFFSET * unit, OFFSET_RAD, is_planar=is_planar)
     return Ties(
@@ -168,12 +203,20 @@ def closures_of(offered: Sequence[tuple[int, int, Any]], unit: float, levelling:
 
 
 def _alike(pose: Any, is_planar: bool) -> Any:
-    """A pose of the plane as one in space where the map is there."""
+    """A pose of the plane as a pose in space where the map is spatial."""
     return pose if is_planar or isinstance(pose, gtsam.Pose3) else gtsam.Pose3(pose)
 
 
 def variances_of(length_m: float, angle: float, *, is_planar: bool) -> Array:
-    """Squares of a length in m and of an angle in rad, in the order of GTSAM's tangent space, (d,)."""
+    """Squares of a length in m and of an angle in rad, in the order of GTSAM's tangent space, (d,).
+
+    Parameters
+    ----------
+    length_m : float
+    angle : float
+        In rad.
+    is_planar : bool
+    """
     squares = np.square([length_m, length_m, angle] if is_planar else [angle] * 3 + [length_m] * 3)
     return np.asarray(squares, dtype=float)
 
@@ -184,7 +227,7 @@ def translation_of(is_planar: bool) -> slice:
 
 
 def _direction(step: Any) -> Array:
-    """Unit vector of a step's motion in the axes of its end; zero where nothing moves."""
+    """Unit vector of a step's motion in the axes of its end; zero without motion."""
     moved = np.asarray(step.rotation().unrotate(step.translation()))
     return np.asarray(moved / max(float(np.linalg.norm(moved)), np.finfo(float).tiny))
 
@@ -203,13 +246,26 @@ def _angle(step: Any) -> float:
 
 
 def adjoints(poses: Sequence[Any], pairs: NDArray[np.int64]) -> Array:
-    """A = Ad(T_j⁻¹ T_i) of every pair, (k, d, d)."""
+    """A = Ad(T_j⁻¹ T_i) of every pair, (k, d, d).
+
+    Parameters
+    ----------
+    poses : sequence of object
+    pairs : (k, 2) int
+    """
     d = 3 if isinstance(poses[0], gtsam.Pose2) else 6
     return np.array([poses[j].between(poses[i]).AdjointMap() for i, j in pairs.tolist()]).reshape(-1, d, d)
 
 
 def errors_of(poses: Sequence[Any], pairs: NDArray[np.int64], measured: Sequence[Any]) -> Array:
-    """e = Log(z⁻¹ T_i⁻¹ T_j) of some ties, (m, d)."""
+    """e = Log(z⁻¹ T_i⁻¹ T_j) of some ties, (m, d).
+
+    Parameters
+    ----------
+    poses : sequence of object
+    pairs : (m, 2) int
+    measured : sequence of object
+    """
     d = 3 if isinstance(poses[0], gtsam.Pose2) else 6
     errors = [
         type(z).Logmap(z.between(poses[i].between(poses[j])))

@@ -1,9 +1,9 @@
-"""Which axis of the body stays vertical, and how fast the odometry's tilt drifts: read from the odometry itself.
+"""The axis of the body that stays vertical, and how fast the odometry's tilt drifts: read from the odometry itself.
 
 A wheeled robot stays level, a hand-held camera nearly so, a drone comes back to level; an accelerometer holds tilt
 where nothing holds heading. The chained odometry shows it: the body axis whose direction in the world changes least,
-and how far that direction wanders from one end of a drive to the other. What the body itself tilts adds to what the
-odometry errs, so that the median change, which ramps do not move, is a bound on the drift.
+and how far that direction wanders from one end of a drive to the other. Tilt of the body itself adds to errors of the
+odometry, so that the median change, which ramps do not move, is a bound on the drift.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class Upright:
     Attributes
     ----------
     levelling : gtsam.Rot3
-        Turns the z axis into the body's vertical: a pose T turned by it, T Q, has its z axis there.
+        Turns the z axis into the body's vertical: a pose T becomes T Q, with the z axis there.
     tilt : float
         Standard deviation of the tilt's drift in parts of that of an odometry that nothing levels, at most 1.
     """
@@ -44,16 +44,16 @@ class Upright:
 
 
 def upright(rotations: Array, gathered: Array, chains: NDArray[np.int64]) -> Upright:
-    """The vertical of a body, from its odometry.
+    """The vertical of a body, from the odometry.
 
     Parameters
     ----------
     rotations : (n, 3, 3) float
         World from body, chained from the first keyframe of each chain.
     gathered : (n,) float
-        Variance of the heading that an odometry which nothing levels has gathered since then, rad².
+        Variance of the heading that an odometry without levelling has gathered since then, rad².
     chains : (n,) int
-        Which chain each keyframe is on.
+        Number of each keyframe's chain.
 
     Returns
     -------
@@ -74,7 +74,7 @@ def upright(rotations: Array, gathered: Array, chains: NDArray[np.int64]) -> Upr
 def chained(
     n: int, pairs: NDArray[np.int64], steps: Sequence[gtsam.Pose3], variances: Array
 ) -> tuple[Array, Array, NDArray[np.int64]]:
-    """What `upright` reads, from the steps of the odometry in any order, i < j; each keyframe follows the latest one.
+    """The vertical, from the steps of the odometry in any order, i < j; each keyframe follows the latest earlier.
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ def _wandered(pointed: Array, gathered: Array, chains: NDArray[np.int64]) -> flo
 
 
 def _turning(axis: Array) -> gtsam.Rot3:
-    """The shortest turn that takes the z axis to some axis or its opposite, whichever is nearer."""
+    """The shortest turn that takes the z axis to an axis or its opposite, whichever is nearer."""
     axis = axis * (1.0 if axis[2] >= 0 else -1.0)
     turn = np.array([-axis[1], axis[0], 0.0])
     sine = float(np.linalg.norm(turn))

@@ -1,4 +1,4 @@
-"""A replay as a figure for a paper, laid out as its Fig. 4: the map with its scores, and a panel a metric."""
+"""A replay as a figure for a paper, laid out as the paper's Fig. 4: the map with its scores, and a panel a metric."""
 
 from __future__ import annotations
 
@@ -44,6 +44,12 @@ def require_png(path: Path | None) -> None:
 def write_replay_png(document: Mapping[str, Any], path: Path | str) -> None:
     """Draw a replay's document; the keyframes have their scores of the last moment.
 
+    Parameters
+    ----------
+    document : mapping
+        As `report.replay` makes it.
+    path : Path or str
+
     Raises
     ------
     MissingDependencyError
@@ -77,7 +83,7 @@ def write_replay_png(document: Mapping[str, Any], path: Path | str) -> None:
 
 
 def _map(figure: Any, axis: Any, document: Mapping[str, Any]) -> None:
-    """The map along its two largest axes, the longer one across, as on the page."""
+    """The map along its two largest axes, the longer axis across, as on the page."""
     from matplotlib.collections import LineCollection
 
     positions = np.array(document["keyframes"]["position"])
@@ -94,7 +100,7 @@ def _map(figure: Any, axis: Any, document: Mapping[str, Any]) -> None:
 
 
 def last_levels(document: Mapping[str, Any]) -> NDArray[np.float64]:
-    """ζ of every keyframe at the last moment, to a 254th of the largest; infinite ones at the top, (n,)."""
+    """ζ of every keyframe at the last moment, to a 254th of the largest; infinite scores at the top, (n,)."""
     levels = np.frombuffer(base64.b64decode(document["levels"]), dtype=np.uint8)
     last = levels[-document["moments"]["n_keyframes"][-1] :].astype(float)
     return np.minimum(last / 254, 1.0) * float(document["tops"][-1])

@@ -1,4 +1,4 @@
-"""Verdicts on loop closures as JSON-ready records: one for each, from which the terminal lines are drawn.
+"""Verdicts on loop closures as JSON-ready records: a record for each, from which the terminal lines are drawn.
 
 A number that JSON does not have is the text "infinite" or "undefined".
 """
@@ -30,22 +30,22 @@ def decision_records(
     *,
     true_closures: AbstractSet[int] | None = None,
 ) -> list[Record]:
-    """One record for each closure, by the later of its keyframes.
+    """A record for each closure, by the later keyframe.
 
     Parameters
     ----------
     decisions : mapping of slot to ClosureDecision
     ends : mapping of slot to (int, int)
-        Keys of their keyframes.
+        Keys of the closures' keyframes.
     true_closures : set of int, optional
-        Slots of those that are known to be true; None where nothing is known.
+        Slots of closures known to be true; None where nothing is known.
 
     Returns
     -------
     list of dict
         ``slot``, ``keys``, ``keyframes`` (the keys in words), ``verdict``, ``accepted``, ``probability``,
         ``log_odds``, ``terms`` (by name: ``value``, ``log_odds``, ``sentence``), ``reasons``, ``judged_with`` (how many
-        closures of its revisit were weighed as one), ``score`` and ``global_score`` (``before``, ``after``, ``rise``,
+        closures of its revisit were weighed together), ``score`` and ``global_score`` (``before``, ``after``, ``rise``,
         or None), ``is_true``.
     """
     ordered = sorted(decisions, key=lambda slot: (max(ends[slot]), min(ends[slot]), slot))
@@ -66,7 +66,7 @@ def _record(slot: int, decision: ClosureDecision, ends: Sequence[int]) -> Record
 
 
 def evidence(decision: ClosureDecision) -> Record:
-    """The verdict on a closure and why, as `decision_records` has them."""
+    """The verdict on a closure with its reasons, as `decision_records` has them."""
     return {
         "verdict": decision.verdict,
         "accepted": decision.accepted,
@@ -84,7 +84,7 @@ def evidence(decision: ClosureDecision) -> Record:
 
 
 def least_probable_first(records: Iterable[Record]) -> list[Record]:
-    """Records by rising probability; those that nothing judges last."""
+    """Records by rising probability; records without a probability last."""
 
     words = {"undefined": math.inf, "infinite": math.inf, "-infinite": -math.inf}
 
@@ -96,7 +96,13 @@ def least_probable_first(records: Iterable[Record]) -> list[Record]:
 
 
 def write_json_lines(records: Iterable[Mapping[str, Any]], path: Path) -> None:
-    """Write records as strict JSON, one a line."""
+    """Write records as strict JSON, a record a line.
+
+    Parameters
+    ----------
+    records : iterable of mapping
+    path : Path
+    """
     lines = [json.dumps(record, allow_nan=False, ensure_ascii=False) + "\n" for record in records]
     outputs.write_text(path, "".join(lines))
 
@@ -113,7 +119,7 @@ def closures_document(
     odometry: Iterable[Sequence[int]],
     drawn: str,
 ) -> Record:
-    """The closures of a map as one JSON-ready mapping, least probable first.
+    """The closures of a map as a JSON-ready mapping, least probable first.
 
     Parameters
     ----------
@@ -122,13 +128,13 @@ def closures_document(
     name, file_format, notes, options
         As in `audit_document`.
     unjudged : sequence of (int, int)
-        Keys of closures on which a keyframe hangs alone, so that the map cannot be had without.
+        Keys of closures without which a keyframe would hang on nothing, so that no map exists without the closure.
     keyframes : Keyframes
-        Where the map has them: ``label`` and ``position``, m.
+        Where the map has the keyframes: ``label`` and ``position``, m.
     odometry : iterable of (int, int)
         Keys of keyframes that odometry ties.
     drawn : str
-        What the positions are, in words that complete "The map is drawn ...".
+        The source of the positions, in words that complete "The map is drawn ...".
     """
     index = keyframes.index
     return {
@@ -157,7 +163,7 @@ def _change(change: Change | None) -> Record | None:
 
 
 def _number(value: float) -> float | str:
-    """A number as JSON has it."""
+    """A number as JSON has numbers."""
     if math.isfinite(value):
         return value
     return "undefined" if math.isnan(value) else ("infinite" if value > 0 else "-infinite")

@@ -44,16 +44,16 @@ def audit_document(
     notes: Sequence[str] = (),
     options: Mapping[str, Any] | None = None,
 ) -> Document:
-    """Put everything that was found about a map into one JSON-ready mapping.
+    """Put the whole diagnosis of a map into a JSON-ready mapping.
 
     Parameters
     ----------
     diagnosis : Diagnosis
-        What `diagnose` found.
+        The diagnosis.
     name, file_format : str
-        What the map is called, and what it was read from.
+        Name of the map, and its file format.
     notes : sequence of str
-        What a reader should know of the input.
+        Notes on the input for a reader.
     options : mapping, optional
         Settings of the audit, kept as they are.
     """
@@ -95,7 +95,7 @@ def audit_document(
 
 
 def sweep_rows(swept: Sequence[Swept]) -> Document:
-    """Verdict and places at every factor of the radii, and whether the verdict hangs on it."""
+    """Verdict and places at every factor of the radii, and whether the verdict depends on the factor."""
     return {
         "fragile": fragile({each.factor: each.diagnosis.verdict for each in swept}),
         "rows": [
@@ -112,7 +112,13 @@ def sweep_rows(swept: Sequence[Swept]) -> Document:
 
 
 def write_json(document: Mapping[str, Any], path: Path) -> None:
-    """Write a document as strict JSON; raises what `outputs.write_bytes` raises."""
+    """Write a document as strict JSON; raises as `outputs.write_bytes` does.
+
+    Parameters
+    ----------
+    document : mapping
+    path : Path
+    """
     outputs.write_text(path, json.dumps(document, allow_nan=False, ensure_ascii=False) + "\n")
 
 

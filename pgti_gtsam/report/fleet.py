@@ -35,7 +35,17 @@ Row = Mapping[str, Any]
 def fleet_document(
     rows: Sequence[Row], options: Mapping[str, Any], name: str, notes: Sequence[str] = ()
 ) -> dict[str, Any]:
-    """All rows, the worst map first, maps without a verdict last."""
+    """All rows, the worst map first, maps without a verdict last.
+
+    Parameters
+    ----------
+    rows : sequence of Row
+    options : mapping
+        Settings of the audits.
+    name : str
+        Name of the folder.
+    notes : sequence of str
+    """
     return {
         "schema": SCHEMA,
         "schema_version": SCHEMA_VERSION,
@@ -55,7 +65,14 @@ def gravity(row: Row) -> tuple[Any, ...]:
 
 
 def write_csv(document: Mapping[str, Any], path: Path) -> None:
-    """The ranking as a table, one map a line."""
+    """The ranking as a table, a map a line.
+
+    Parameters
+    ----------
+    document : mapping
+        As `fleet_document` makes it.
+    path : Path
+    """
     text = io.StringIO(newline="")
     writer = csv.DictWriter(text, COLUMNS, extrasaction="ignore")
     writer.writeheader()
@@ -64,7 +81,14 @@ def write_csv(document: Mapping[str, Any], path: Path) -> None:
 
 
 def write_fleet_page(document: Mapping[str, Any], path: Path) -> None:
-    """Write the index page: a table that sorts and filters, with a small picture of each map and a link to its page."""
+    """Write the index page: a table that sorts and filters, with a small picture of each map and a link to its page.
+
+    Parameters
+    ----------
+    document : mapping
+        As `fleet_document` makes it.
+    path : Path
+    """
     web.require_schema(document, SCHEMA, SCHEMA_VERSION)
     page = web.assembled(
         document,

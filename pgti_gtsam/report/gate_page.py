@@ -1,4 +1,4 @@
-"""Gated closures as one HTML page that needs no network: see `web`."""
+"""Gated closures as an HTML page that needs no network: see `web`."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ _SCRIPTS = (
 
 
 def write_gate_page(document: Mapping[str, Any], path: Path) -> None:
-    """Write one HTML file that makes no network request: the map, its closures in time, and why each has its verdict.
+    """Write an HTML file that makes no network request: the map, its closures in time, and the reasons of each verdict.
 
-    The page opens at the least probable closure; `#slot=1234` after its address at the closure of that factor.
+    The page opens at the least probable closure; `#slot=1234` after the address opens at the closure of that factor.
 
     Parameters
     ----------
     document : Mapping
         As `closures_document` makes it.
     path : Path
-        The file; it is overwritten.
+        The file to write or overwrite.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""What a heat study says: a record for JSON, and a page of figures drawn from the record."""
+"""A heat study: a record for JSON, and a page of figures drawn from the record."""
 
 from __future__ import annotations
 
@@ -20,6 +20,12 @@ def heat_document(study: Study, name: str) -> dict[str, Any]:
 
     The keys a program would ask for are at the top level: `laplacian_defect_body`, `laplacian_defect_spatial`,
     `steady_state_error`, `proxy_rank_correlation`, the last in GTSAM's own frame.
+
+    Parameters
+    ----------
+    study : Study
+    name : str
+        Name of the map.
     """
     eq11 = study.equation_11
     body = study.body
@@ -90,7 +96,14 @@ def _number(value: float) -> float | None:
 
 
 def write_heat_page(document: Mapping[str, Any], path: Path) -> None:
-    """Write the figures to one HTML file that needs no network."""
+    """Write the figures to an HTML file that needs no network.
+
+    Parameters
+    ----------
+    document : mapping
+        As `heat_document` makes it.
+    path : Path
+    """
     figure = make_subplots(
         rows=1,
         cols=3,

@@ -1,4 +1,4 @@
-"""The audit as one HTML page that needs no network: see `web`."""
+"""The audit as an HTML page that needs no network: see `web`."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def write_page(document: Mapping[str, Any], path: Path | str) -> None:
     document : Mapping
         The JSON document of an audit, schema version 2.
     path : Path or str
-        The file; it is overwritten.
+        The file to write or overwrite.
 
     Raises
     ------
@@ -48,7 +48,7 @@ def write_page(document: Mapping[str, Any], path: Path | str) -> None:
 
 
 def page(document: Mapping[str, Any]) -> str:
-    """Return one self-contained HTML page that shows an audit.
+    """Return a self-contained HTML page that shows an audit.
 
     Parameters
     ----------
@@ -58,13 +58,13 @@ def page(document: Mapping[str, Any]) -> str:
     Returns
     -------
     str
-        HTML that makes no network request. It opens at the first place, or else at the keyframe with the largest ζ;
-        `#place=2` after its address at the place of rank 2, `#keyframe=17` at the keyframe of index 17.
+        HTML that makes no network request. The page opens at the first place, or else at the keyframe with the largest
+        ζ; `#place=2` after the address opens at the place of rank 2, `#keyframe=17` at the keyframe of index 17.
 
     Raises
     ------
     InvalidValueError
-        The document has another schema, or holds NaN or an infinite number, which JSON cannot carry.
+        The document has another schema, or holds NaN or an infinite number, impossible in JSON.
     """
     require_schema(document)
     return web.assembled(document, what="map integrity", body="audit.html", first="places", scripts=_SCRIPTS)

@@ -1,6 +1,6 @@
 """A mended map as a JSON document, and the page drawn from the document: before and after on one map.
 
-Clouds travel as whole centimetres, seen from their keyframe and from above.
+Clouds travel as whole centimetres, in the frame of their keyframe and from above.
 """
 
 from __future__ import annotations
@@ -44,13 +44,13 @@ def mended_document(
     options: Mapping[str, Any] | None = None,
     names: Mapping[int, str] | None = None,
 ) -> Document:
-    """Put all that mending found into one JSON-ready mapping.
+    """Put the whole result of mending into a JSON-ready mapping.
 
     Parameters
     ----------
     mended : Mended
     graph : gtsam.NonlinearFactorGraph
-        As it came.
+        The map before mending.
     name, file_format, notes, options
         As in `audit_document`.
     names : mapping of int to str, optional
@@ -89,7 +89,14 @@ def mended_document(
 
 
 def write_mended_page(document: Mapping[str, Any], path: Path | str) -> None:
-    """Write one HTML file that needs no network; see `web.assembled` for what is raised."""
+    """Write an HTML file that needs no network; raises as `web.assembled` does.
+
+    Parameters
+    ----------
+    document : mapping
+        As `mended_document` makes it.
+    path : Path or str
+    """
     web.require_schema(document, SCHEMA, SCHEMA_VERSION)
     page = web.assembled(document, what="map mended", body="mend.html", first="attempts", scripts=_SCRIPTS)
     outputs.write_text(path, page)

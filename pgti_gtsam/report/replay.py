@@ -25,10 +25,18 @@ _LEVELS = 254
 
 
 def replay_document(replay: Replay, *, name: str, file_format: str, notes: Sequence[str] = ()) -> Document:
-    """Put a replay into one JSON-ready mapping.
+    """Put a replay into a JSON-ready mapping.
 
     Scores become levels of a colour scale from zero to the largest finite score of the moment. Edges are those of the
-    end; they are left out where the estimate moved, for they were others then.
+    end; edges are left out where the estimate moved, since earlier edges differed.
+
+    Parameters
+    ----------
+    replay : Replay
+    name, file_format : str
+        Name of the map, and its file format.
+    notes : sequence of str
+        Notes on the input.
     """
     pose_graph, final = replay.pose_graph, replay.pose_graph.positions.astype(np.float32)
     still = all((moment.positions == final[: moment.n_keyframes]).all() for moment in replay.moments)
@@ -57,7 +65,14 @@ def replay_document(replay: Replay, *, name: str, file_format: str, notes: Seque
 
 
 def write_replay_page(document: Mapping[str, Any], path: Path | str) -> None:
-    """Write one HTML file that needs no network; see `web.assembled` for what is raised."""
+    """Write an HTML file that needs no network; raises as `web.assembled` does.
+
+    Parameters
+    ----------
+    document : mapping
+        As `replay_document` makes it.
+    path : Path or str
+    """
     page = web.assembled(document, what="map integrity, replayed", body="replay.html", first="lags", scripts=_SCRIPTS)
     outputs.write_text(path, page)
 

@@ -35,7 +35,7 @@ _OVERSAMPLING = 2
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Map:
-    """What is drawn of a document.
+    """The drawn parts of a document.
 
     Attributes
     ----------
@@ -76,7 +76,7 @@ def show(document: Mapping[str, Any]) -> None:
     Raises
     ------
     MissingDependencyError
-        Open3D or a library of it is missing, or there is no display.
+        Open3D or a system library is missing, or there is no display.
     InvalidValueError
         The document has another schema.
     """
@@ -106,7 +106,7 @@ def show(document: Mapping[str, Any]) -> None:
 def render_png(document: Mapping[str, Any], path: Path | str, width: int = 1600, height: int = 1000) -> None:
     """Draw the audited map into a PNG file, without a display.
 
-    Keyframes are coloured by ζ as on the page (an infinite ζ as the largest finite one), edges of the pose graph are
+    Keyframes are coloured by ζ as on the page (an infinite ζ as the largest finite ζ), edges of the pose graph are
     blue, collisions are red tubes, and the minimum spheres of the worst places are translucent. A planar map is
     seen from above, any other slanted.
 
@@ -115,16 +115,16 @@ def render_png(document: Mapping[str, Any], path: Path | str, width: int = 1600,
     document : Mapping
         The JSON document of an audit, schema version 2.
     path : Path or str
-        The picture; it is overwritten.
+        The picture to write or overwrite.
     width, height : int
-        Its size in pixels.
+        Size of the picture in pixels.
 
     Raises
     ------
     InvalidOptionError
         The size is not positive, or the name does not end in ".png".
     MissingDependencyError
-        Open3D or a library of it is missing.
+        Open3D or a system library is missing.
     OutputError
         The picture cannot be written.
     InvalidValueError
@@ -172,7 +172,7 @@ def _require_vulkan() -> None:
 
 
 def _read(document: Mapping[str, Any]) -> _Map:
-    """Take what is drawn out of a document."""
+    """Take the drawn parts out of a document."""
     require_schema(document)
     keyframes, edges = document["keyframes"], document["edges"]
     positions = np.asarray(keyframes["position"], dtype=np.float64).reshape(-1, 3)
@@ -189,14 +189,14 @@ def _read(document: Mapping[str, Any]) -> _Map:
 
 
 def _long_enough(edges: ArrayLike, positions: FloatArray) -> IntArray:
-    """Return the edges (m, 2) whose ends differ: a shape without any size ends Open3D's renderer."""
+    """Return the edges (m, 2) with distinct ends: a shape without any size ends Open3D's renderer."""
     pairs = np.asarray(edges, dtype=np.int64).reshape(-1, 2)
     long_enough: IntArray = pairs[(positions[pairs[:, 0]] != positions[pairs[:, 1]]).any(axis=1)]
     return long_enough
 
 
 def _levels(scores: FloatArray) -> FloatArray:
-    """Return scores (n,) in units of the largest finite one, infinite ones as 1."""
+    """Return scores (n,) in units of the largest finite score, infinite scores as 1."""
     top = scores[np.isfinite(scores)].max(initial=0.0) or 1.0
     return np.clip(scores / top, 0.0, 1.0)
 
@@ -222,7 +222,7 @@ def _solids(open3d: Any, drawn: _Map, pixel: int = 1) -> Iterator[tuple[str, Any
 
 
 def _worst_spheres(open3d: Any, drawn: _Map) -> Any:
-    """Return the minimum spheres of the worst places as one mesh."""
+    """Return the minimum spheres of the worst places as a mesh."""
     return _balls(open3d, drawn.positions[drawn.worst], drawn.radii[drawn.worst], np.tile(_BALL, (len(drawn.worst), 1)))
 
 
@@ -234,14 +234,14 @@ def _dot_radius(drawn: _Map) -> float:
 
 
 def _balls(open3d: Any, centres: FloatArray, radii: FloatArray, colors: FloatArray) -> Any:
-    """Return one mesh of a ball for each centre (n, 3), radius (n,) and colour (n, 3)."""
+    """Return a mesh of a ball for each centre (n, 3), radius (n,) and colour (n, 3)."""
     ball = open3d.geometry.TriangleMesh.create_sphere(1.0, resolution=10)
     vertices = centres[:, None] + radii[:, None, None] * np.asarray(ball.vertices)
     return _mesh(open3d, vertices, np.asarray(ball.triangles), colors)
 
 
 def _tubes(open3d: Any, ends: FloatArray, radius: float, color: Sequence[float]) -> Any:
-    """Return one mesh of a six-sided tube for each pair of ends (n, 2, 3)."""
+    """Return a mesh of a six-sided tube for each pair of ends (n, 2, 3)."""
     along = _unit(ends[:, 1] - ends[:, 0])
     side = _unit(np.cross(along, np.eye(3)[np.abs(along).argmin(axis=1)]))
     angles = np.arange(6)[:, None] * math.pi / 3
@@ -253,7 +253,7 @@ def _tubes(open3d: Any, ends: FloatArray, radius: float, color: Sequence[float])
 
 
 def _mesh(open3d: Any, vertices: FloatArray, faces: NDArray[np.integer], colors: FloatArray) -> Any:
-    """Return one mesh of n copies of a shape: vertices (n, v, 3), the shape's faces (f, 3), colours (n, 3)."""
+    """Return a mesh of n copies of a shape: vertices (n, v, 3), the shape's faces (f, 3), colours (n, 3)."""
     n, v = vertices.shape[:2]
     triangles = (faces + v * np.arange(n)[:, None, None]).reshape(-1, 3)
     # Not the older open3d.geometry.TriangleMesh: it has no texture coordinates, but its shader samples a texture at
@@ -303,7 +303,7 @@ def _viewpoint(drawn: _Map) -> tuple[FloatArray, FloatArray]:
     """Return the direction to the eye and the up vector, as on the page.
 
     A planar map is seen from straight above. In space the z axis points up, unless the map is far flatter along y: then
-    its poses are camera poses, whose y axis points down. The longer side lies across the picture.
+    the poses are camera poses, whose y axis points down. The longer side lies across the picture.
     """
     if drawn.planar:
         return np.array([0.0, 0.0, 1.0]), np.array([0.0, 1.0, 0.0])
@@ -314,7 +314,7 @@ def _viewpoint(drawn: _Map) -> tuple[FloatArray, FloatArray]:
 
 
 def _picture(renderer: Any, drawn: _Map, aspect: float) -> FloatArray:
-    """Return what the renderer holds as a picture (h, w, 3), each square of oversampled pixels averaged."""
+    """Return the renderer's picture (h, w, 3), each square of oversampled pixels averaged."""
     eye, centre, up = _camera(drawn, aspect)
     renderer.setup_camera(_FIELD_OF_VIEW_DEG, centre, eye, up)  # fits the clipping planes to what is there by now
     image = np.asarray(renderer.render_to_image())

@@ -1,4 +1,4 @@
-"""What the terminal shows: the summary of an audit document, verdicts on closures."""
+"""The terminal text: the summary of an audit document, verdicts on closures."""
 
 from __future__ import annotations
 
@@ -29,9 +29,15 @@ _KIND_COLOURS = {
 
 
 def print_summary(document: Mapping[str, Any], console: Console) -> None:
-    """Print the verdict, what to look at and what to do, then what was read and the scores.
+    """Print the verdict, the places with their remedies, then the input and the scores.
 
-    Text that comes from a file is printed as it is: never read as markup.
+    Text from a file is printed literally, never as markup.
+
+    Parameters
+    ----------
+    document : mapping
+        As `audit_document` makes it.
+    console : Console
     """
     console.print(
         Group(
@@ -169,7 +175,14 @@ def _places(document: Mapping[str, Any]) -> RenderableType:
 
 
 def print_sweep(document: Mapping[str, Any], console: Console) -> None:
-    """Print what the audit says with smaller and larger spheres."""
+    """Print the verdicts with smaller and larger spheres.
+
+    Parameters
+    ----------
+    document : mapping
+        As `audit_document` makes it, with a sweep of the radii.
+    console : Console
+    """
     swept, table = document["radius_sweep"], Table(box=None, pad_edge=False, header_style="dim", padding=(0, 2, 0, 0))
     for name in ("radii times", "median (m)", "Λ"):
         table.add_column(name, justify="right")
@@ -197,7 +210,18 @@ def _own_closures(document: Mapping[str, Any]) -> RenderableType:
 
 
 def print_heading(name: str, what: str, notes: Sequence[str], console: Console) -> None:
-    """Print what was judged, and what the number behind each verdict is."""
+    """Print the name of the map, and the meaning of the number behind each verdict.
+
+    Parameters
+    ----------
+    name : str
+        Name of the map.
+    what : str
+        Noun of the number behind each verdict.
+    notes : sequence of str
+        Notes on the input.
+    console : Console
+    """
     console.print(Text.assemble((name, "bold"), f": {what}"), soft_wrap=True)
     for note in notes:
         console.print(Text(f"note: {note}", style="dim"), soft_wrap=True)
@@ -206,7 +230,14 @@ def print_heading(name: str, what: str, notes: Sequence[str], console: Console) 
 
 
 def print_decisions(records: Sequence[Mapping[str, Any]], console: Console) -> None:
-    """Print one line for each closure: verdict, keyframes, probability, what is known of it, the gravest reason."""
+    """Print a line for each closure: verdict, keyframes, probability, truth if known, the gravest reason.
+
+    Parameters
+    ----------
+    records : sequence of mapping
+        As `decision_records` makes them.
+    console : Console
+    """
     pairs = [_pair(record) for record in records]
     width = max(map(len, pairs), default=0)
     is_scored = any(record["global_score"] is not None for record in records)
@@ -225,7 +256,14 @@ def print_decisions(records: Sequence[Mapping[str, Any]], console: Console) -> N
 
 
 def print_closures(records: Sequence[Mapping[str, Any]], console: Console) -> None:
-    """Print the least probable closures, given in that order, as a table with what makes up the odds of each."""
+    """Print the least probable closures, given in that order, as a table with the parts of the log odds.
+
+    Parameters
+    ----------
+    records : sequence of mapping
+        As `closures_document` orders them.
+    console : Console
+    """
     table = Table(box=None, pad_edge=False, header_style="dim")
     is_known = any(record["is_true"] is not None for record in records)
     table.add_column("verdict")
@@ -251,7 +289,16 @@ def print_closures(records: Sequence[Mapping[str, Any]], console: Console) -> No
 
 
 def print_tally(records: Sequence[Mapping[str, Any]], console: Console, *, seconds: float) -> None:
-    """Print how many closures passed, and of those that are known to be true or false how many rightly."""
+    """Print how many closures passed, and how many of known truth rightly.
+
+    Parameters
+    ----------
+    records : sequence of mapping
+        As `decision_records` makes them.
+    console : Console
+    seconds : float
+        Time of the run.
+    """
     count = {verdict: sum(record["verdict"] == verdict for record in records) for verdict in _VERDICT_COLOURS}
     console.print()
     told = ", ".join(f"{number} {verdict}" for verdict, number in count.items())
@@ -265,7 +312,16 @@ def print_tally(records: Sequence[Mapping[str, Any]], console: Console, *, secon
 
 
 def print_left_out(counts: Mapping[str, int], where: str, console: Console) -> None:
-    """Print what is missing somewhere, by kind."""
+    """Print the parts that a file lacks, by kind.
+
+    Parameters
+    ----------
+    counts : mapping
+        Numbers by kind.
+    where : str
+        Name of the file.
+    console : Console
+    """
     for what, count in counts.items():
         console.print(Text(f"left out of {where}: {count} {what}", style="yellow"), soft_wrap=True)
 
@@ -292,7 +348,7 @@ def _known(record: Mapping[str, Any]) -> Text:
 
 
 def _reason(record: Mapping[str, Any]) -> str:
-    """What weighed most, how much more there is, and with how many other closures it was weighed."""
+    """The heaviest reason, the number of others, and the number of closures weighed together."""
     first, more = str(record["reasons"][0]), record["reasons"][1:]
     others = record["judged_with"] - 1
     together = f" Weighed with {others} other{'s' if others > 1 else ''} of its revisit." if others else ""
@@ -308,7 +364,14 @@ def _percent(record: Mapping[str, Any]) -> str:
 
 
 def print_heat(document: Mapping[str, Any], console: Console) -> None:
-    """Print the findings, each with what it means."""
+    """Print the findings, each with its meaning.
+
+    Parameters
+    ----------
+    document : mapping
+        As `heat_document` makes it.
+    console : Console
+    """
     table = Table.grid(padding=(0, 2))
     table.add_column(style="dim", no_wrap=True)
     table.add_column()

@@ -1,7 +1,8 @@
-"""A JSON document as one HTML page that needs no network: the document, the plotting library and our scripts inlined.
+"""A JSON document as an HTML page that needs no network: the document, the plotting library and our scripts inlined.
 
-Every text of the document (file, key and factor names) is untrusted. It travels as JSON data, reaches the page through
-`textContent` alone, and a Content-Security-Policy runs only the two scripts whose hashes it names and loads nothing.
+Every text of the document (file, key and factor names) is untrusted. Text travels as JSON data, reaches the page
+through `textContent` alone, and a Content-Security-Policy runs only the two scripts with named hashes and loads
+nothing.
 """
 
 from __future__ import annotations
@@ -24,25 +25,25 @@ _ESCAPES = {ord(c): f"\\u{ord(c):04x}" for c in "<>&\u2028\u2029"}
 
 
 def assembled(document: Mapping[str, Any], *, what: str, body: str, first: str, scripts: Sequence[str]) -> str:
-    """Return one self-contained HTML page that draws a document.
+    """Return a self-contained HTML page that draws a document.
 
     Parameters
     ----------
     document : Mapping
         With `input.name`, the page's title.
     what : str
-        What the page shows of it, in words.
+        What the page shows of the document, in words.
     body : str
         File of `page/` with the page's cards.
     first : str
         Identifier of the first table, to which a keyboard skips.
     scripts : sequence of str
-        Files of `page/` in reading order: one module scope, in which later ones use what earlier ones define.
+        Files of `page/` in reading order: a common module scope, in which later files use definitions of earlier files.
 
     Raises
     ------
     InvalidValueError
-        The document holds NaN or an infinite number, which JSON cannot carry.
+        The document holds NaN or an infinite number, impossible in JSON.
     """
     plotly, script = get_plotlyjs(), "\n".join(asset(name) for name in scripts)
     return Template(asset("shell.html")).substitute(
@@ -59,7 +60,14 @@ def assembled(document: Mapping[str, Any], *, what: str, body: str, first: str, 
 
 
 def require_schema(document: Mapping[str, Any], schema: str, version: int) -> None:
-    """Raise InvalidValueError unless a document is of the schema and version that this package draws."""
+    """Raise InvalidValueError unless a document is of the schema and version that this package draws.
+
+    Parameters
+    ----------
+    document : mapping
+    schema : str
+    version : int
+    """
     found = document.get("schema"), document.get("schema_version")
     if found != (schema, version):
         raise InvalidValueError(
@@ -69,7 +77,7 @@ def require_schema(document: Mapping[str, Any], schema: str, version: int) -> No
 
 
 def asset(name: str) -> str:
-    """Return the text of a file beside this module, in `page/`."""
+    """Return the text of a file of the folder `page/` beside this module."""
     return (files("pgti_gtsam.report") / "page" / name).read_text(encoding="utf-8")
 
 

@@ -1,6 +1,6 @@
 """The gate in a running pipeline of any language: lines in, verdicts out.
 
-`lines` reads one line, `session` is the protocol for one map, `journal` keeps a session on disk, `serving` joins the
+`lines` reads a line, `session` is the protocol for a map, `journal` keeps a session on disk, `serving` joins the
 two.
 """
 

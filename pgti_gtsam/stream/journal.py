@@ -1,7 +1,7 @@
-"""A session on disk: its state as a whole now and then, and every line since, so that nothing is lost between.
+"""A session on disk: the whole state from time to time, and every line since, so that nothing is lost between.
 
-The state stands in a file and the lines in another beside it, ``NAME.lines``. A line is written when it was taken and
-before it is answered: what is killed in between answers it when it is resumed, and a line that kills is not read again.
+The state stands in a file and the lines in a second file, ``NAME.lines``. A line is written when taken and
+before the answer: a process killed in between answers the line when resumed, and a line that kills is not read again.
 """
 
 from __future__ import annotations
@@ -37,17 +37,23 @@ class Journal:
         self._count = 0
 
     def opened(self, gate: LoopClosureGate, radius_m: float | None = None) -> tuple[Session, list[Answer]]:
-        """The session that was kept, or a new one, and what it says first.
+        """The session that was kept, or a new session, and its first answers.
 
-        That is where it goes on, and the answers to the lines since the state was last written, which may have got
-        lost: they hold ``"again": true``.
+        The first answer says where the session continues; then come the answers to the lines since the state was last
+        written, possibly lost: these hold ``"again": true``.
+
+        Parameters
+        ----------
+        gate : LoopClosureGate
+        radius_m : float, optional
+            Metres around every keyframe of a new session.
 
         Raises
         ------
         FileFormatError
             The file holds something else.
         PgtiError
-            Those of `Session.resumed`.
+            As of `Session.resumed`.
         """
         if not self.path.exists():
             session = Session.started(gate, radius_m)
@@ -68,7 +74,13 @@ class Journal:
         return session, [{"resumed": where}, *again]
 
     def note(self, session: Session, line: bytes) -> None:
-        """Keep a line that a session took."""
+        """Keep a line that a session took.
+
+        Parameters
+        ----------
+        session : Session
+        line : bytes
+        """
         self._lines.write(b"%d %b" % (session.n_lines, line))
         self._lines.flush()
         self._count += 1
@@ -76,7 +88,7 @@ class Journal:
             self.save(session)
 
     def save(self, session: Session) -> None:
-        """Write the state as a whole; the lines so far are part of it."""
+        """Write the whole state; the lines so far are part of the state."""
         if self._lines is not None:
             self._lines.close()
         state = {"schema": SCHEMA, "schema_version": VERSION, "session": session.state()}
@@ -84,13 +96,13 @@ class Journal:
         self._lines, self._count = self.lines_path.open("wb"), 0
 
     def end(self, session: Session) -> None:
-        """Write the state a last time; no line is left beside it."""
+        """Write the state a last time; no line is left beside the state."""
         self.save(session)
         self._lines.close()
         self.lines_path.unlink()
 
     def _kept_lines(self, after: int) -> list[str]:
-        """Lines behind the state, whole ones only."""
+        """Lines behind the state, whole lines only."""
         if not self.lines_path.exists():
             return []
         raw = self.lines_path.read_bytes().split(b"\n")[:-1]

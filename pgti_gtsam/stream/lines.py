@@ -1,4 +1,4 @@
-"""One line of a pipeline, g2o text or a JSON object around it, as vertices, ties and radii."""
+"""A line of a pipeline, g2o text or a JSON object around g2o text, as vertices, ties and radii."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ Name = str | int | None
 
 
 class Message(NamedTuple):
-    """What a line says: g2o lines, the pipeline's own name for them, what it takes them for, and radii, m, by key."""
+    """The content of a line: g2o lines, the pipeline's own name for them, their kind, and radii, m, by key."""
 
     texts: tuple[str, ...]
     name: Name = None
@@ -45,7 +45,7 @@ class Message(NamedTuple):
 
 @dataclass(slots=True, kw_only=True, eq=False)
 class Tie:
-    """Factors that come together, and where the line stands that they come from.
+    """Factors that come together, and the line of origin.
 
     Attributes
     ----------
@@ -53,16 +53,16 @@ class Tie:
     message : Message
     factors : list
     keys : tuple of int
-        Of all its variables, in the order of the factors.
+        Of all variables, in the order of the factors.
     is_edge : bool
-        Whether this is one factor between two poses.
+        Whether this is a single factor between two poses.
     is_spatial : bool
     landmark : int, optional
         Of a single sighting.
     point : (2,) or (3,) float, optional
         Where the landmark is, seen from the pose, m.
     waits, is_taken : bool
-        Whether it waits for vertices, and whether it does no more.
+        Whether the tie waits for vertices, and whether the wait is over.
     """
 
     line: int
@@ -79,7 +79,7 @@ class Tie:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Read:
-    """What g2o lines hold."""
+    """The content of g2o lines."""
 
     poses: Mapping[int, Pose] = field(default_factory=dict)
     points: Mapping[int, NDArray[np.float64]] = field(default_factory=dict)
@@ -90,7 +90,7 @@ class Read:
 
 
 def message_of(line: str) -> Message:
-    """What a line says, whose blanks are stripped.
+    """The content of a line without blanks at the ends.
 
     Raises
     ------
@@ -127,7 +127,7 @@ def _radii(said: object) -> dict[int, float]:
 
 
 def apart(message: Message) -> list[Message]:
-    """A message for each line of a message, comments together with the line that they stand before.
+    """A message for each line of a message, comments together with the next line.
 
     The lines of a closure stay together.
     """
@@ -149,21 +149,22 @@ def is_loss(line: str) -> bool:
 
 
 def read(message: Message, line: int, parameters: Mapping[str, str]) -> Read:
-    """What the g2o lines of a message hold.
+    """The content of the g2o lines of a message.
 
     Parameters
     ----------
     message : Message
-        Of one line, or of a closure.
+        Of a line, or of a closure.
     line : int
-        Where it stands.
+        Number of the line.
     parameters : mapping of str to str
-        Lines that say where sensors sit on their bodies, by tag and identifier, from before.
+        Earlier lines that say where sensors sit on their bodies, by tag and identifier.
 
     Raises
     ------
     FileFormatError, InvalidOptionError
-        A malformed line; one of an unknown kind; one that ties a vertex to itself, or sees a landmark at no distance.
+        A malformed line; a line of an unknown kind; a line that ties a vertex to itself, or sees a landmark at no
+        distance.
     """
     own = {" ".join(text.split()[:2]): text for text in message.texts if text.startswith(tuple(PARAMETERS))}
     before = [text for name, text in parameters.items() if name not in own]
@@ -193,7 +194,7 @@ def _read_radii(file: TextFile) -> dict[int, float]:
 
 
 def _ties(file: TextFile, said: set[str], message: Message, line: int) -> list[Tie]:
-    """The factors that lines hold as one tie; none where they hold none."""
+    """The factors of lines as a single tie; None without factors."""
     entries: list[Entry] = pose_edges(file) if said & EDGES.keys() else []
     entries += g2o.positions(file) if g2o.POSITION in said else []
     seen: list[Sighting] = landmarks(file) if said & SIGHTING_TAGS else []

@@ -17,17 +17,17 @@ class Sink(Protocol):
         """Take bytes."""
 
     def flush(self) -> object:
-        """Hand on what was taken."""
+        """Pass the written bytes on."""
 
 
 def serve(session: Session, lines: Iterable[bytes], sink: Sink, journal: Journal | None = None) -> None:
-    """Answer lines until they end, each at once.
+    """Answer lines until the end, each at once.
 
     Parameters
     ----------
     session : Session
     lines : iterable of bytes
-        With their line breaks. One without is the last, cut off.
+        With line breaks. A line without is the last, cut off.
     sink : Sink
         Takes a JSON object a line.
     journal : Journal, optional
@@ -49,7 +49,13 @@ def serve(session: Session, lines: Iterable[bytes], sink: Sink, journal: Journal
 
 
 def tell(answers: Iterable[Answer], sink: Sink) -> None:
-    """Write answers as strict JSON, one a line, and hand them on."""
+    """Write answers as strict JSON, an answer a line, and flush.
+
+    Parameters
+    ----------
+    answers : iterable of Answer
+    sink : Sink
+    """
     text = "".join(json.dumps(answer, allow_nan=False, ensure_ascii=False) + "\n" for answer in answers)
     if text:
         sink.write(text.encode())

@@ -1,15 +1,16 @@
-"""The protocol of a pipeline with the gate: one map, lines in, answers out. It knows no file and no process.
+"""The protocol of a pipeline with the gate: a map, lines in, answers out. The module knows no file and no process.
 
-The first vertex that any line names stands where its vertex line puts it, or at the origin; every other one where its
-odometry leads from the smoother's estimate. What an edge is follows from what is there:
+The first vertex that any line names stands at the pose of its vertex line, or at the origin; every other vertex where
+its odometry leads from the smoother's estimate. The vertices decide the kind of an edge:
 
-- between two vertices that are there it is a loop closure, judged at once;
-- between a new vertex and the latest of its robot it is odometry, or the earliest where the new one comes before; a
+- between two known vertices the edge is a loop closure, judged at once;
+- between a new vertex and the latest of its robot the edge is odometry, or the earliest where the new vertex comes
+before; a
   robot is the first byte of its keys, so that symbols tell robots, and sessions, apart;
-- the first edge that leads to a robot which is not there yet places that robot;
+- the first edge that leads to an unknown robot places that robot;
 - any other edge to a new vertex waits until odometry leads there, and is a closure then.
 
-A JSON line may say what it holds instead. Sightings and positions are no closures unless it says so.
+A JSON line may name the kind instead. Sightings and positions are closures only if the line says so.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ Answer = dict[str, Any]
 
 @dataclass(slots=True, kw_only=True, eq=False)
 class Session:
-    """One map and what a pipeline says of it.
+    """A map and the lines of its pipeline.
 
     Attributes
     ----------
@@ -62,16 +63,23 @@ class Session:
 
     @classmethod
     def started(cls, gate: LoopClosureGate, radius_m: float | None = None) -> Session:
-        """A map without anything in it."""
+        """A map without any vertex.
+
+        Parameters
+        ----------
+        gate : LoopClosureGate
+        radius_m : float, optional
+            Metres around every keyframe; None where lines bring the radii.
+        """
         return cls(isam=GatedISAM2(gate=gate, radii=radius_m))
 
     def answers(self, line: str) -> list[Answer]:
-        """What a line is answered with; nothing changes where that is an error.
+        """The answers to a line; nothing changes on an error.
 
         Parameters
         ----------
         line : str
-            With or without its line break.
+            With or without the line break.
         """
         self.n_lines += 1
         line = line.strip()
@@ -92,12 +100,12 @@ class Session:
             return [_refusal(self.n_lines, name, error)]
 
     def end(self, rest: str = "") -> list[Answer]:
-        """What the end of the input is answered with.
+        """The answers to the end of the input.
 
         Parameters
         ----------
         rest : str
-            What stands behind the last line break. It is refused: numbers that were cut off are numbers still.
+            Text behind the last line break. The text is refused: numbers that were cut off are numbers still.
         """
         answers = []
         if rest:
@@ -114,7 +122,7 @@ class Session:
         return answers
 
     def state(self) -> dict[str, Any]:
-        """All of it, as JSON-ready text and numbers."""
+        """The whole state, as JSON-ready text and numbers."""
         return {
             "line": self.n_lines,
             "is_spatial": self._is_spatial,
@@ -130,7 +138,13 @@ class Session:
 
     @classmethod
     def resumed(cls, state: dict[str, Any], gate: LoopClosureGate) -> Session:
-        """A session that goes on where `state` was taken; raises what `GatedISAM2.resumed` raises."""
+        """A session that continues from `state`; raises as `GatedISAM2.resumed` does.
+
+        Parameters
+        ----------
+        state : mapping
+        gate : LoopClosureGate
+        """
         found = cls(
             isam=GatedISAM2.resumed(state["gate"], gate=gate),
             n_lines=state["line"],
@@ -158,7 +172,7 @@ class Session:
         return len(self._undecided)
 
     def _taken(self, message: Message) -> list[Answer]:
-        """Take in what one message says."""
+        """Take in a message."""
         said = read(message, self.n_lines, self._parameters)
         if said.is_spatial is not None:
             if self._is_spatial is (not said.is_spatial):
@@ -203,7 +217,7 @@ class Session:
         self._ends[key >> 56] = min(first, key), max(last, key)
 
     def _tied(self, ties: Iterable[Tie]) -> list[Answer]:
-        """Take in ties, and those that wait for the vertices that they lead to."""
+        """Take in ties, and waiting ties whose vertices are now known."""
         answers: list[Answer] = []
         pending = deque(ties)
         while pending:
@@ -225,12 +239,12 @@ class Session:
         return answers
 
     def _freed(self, keys: Iterable[int]) -> list[Tie]:
-        """What waits for some variables that are there by now, steps first."""
+        """Ties that wait for given variables, now known, steps first."""
         found = [tie for key in keys for tie in self._early.pop(key, ())]
         return sorted(found, key=lambda tie: max(tie.keys) - min(tie.keys))
 
     def _value(self, tie: Tie, missing: Sequence[int]) -> Any | None:
-        """Where a tie puts the one variable that is not there; None where it waits for another tie to do that."""
+        """The pose of the only unknown variable of a tie; None where the tie waits for another tie."""
         (new,) = missing
         if tie.message.kind == "closure":
             return None
@@ -263,12 +277,12 @@ class Session:
         tie.waits = True
 
     def _waiting(self) -> list[Tie]:
-        """What waits for odometry, by line."""
+        """Ties that wait for odometry, by line."""
         found = {id(tie): tie for ties in self._early.values() for tie in ties if not tie.is_taken}
         return sorted(found.values(), key=lambda tie: tie.line)
 
     def _update(self, tie: Tie, missing: Sequence[int], value: Any) -> list[Answer]:
-        """One step of the smoother with a tie, and the answers to it where it is a closure."""
+        """A step of the smoother with a tie, and the answers to a closure."""
         # odometry, sightings and what else is not judged
         is_closure = tie.message.kind == "closure" or (tie.is_edge and tie.message.kind is None and not missing)
         if not is_closure:

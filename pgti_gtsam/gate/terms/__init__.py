@@ -1,1 +1,1 @@
-"""Kinds of evidence for and against a closure, one module each: how it is measured, its log odds, its sentence."""
+"""Kinds of evidence for and against a closure, a module each: measurement, log odds, sentence."""

@@ -1,7 +1,7 @@
 """Free space that comes to touch where nothing connects: what a closure changes at the keyframe that suffers most.
 
-A spurious closure folds the map: spheres of places that nothing connects come to overlap, and the keyframes there see
-their heat kernel change between pose graph and merged graph. The paper weighs the largest change on the map (Λ), which
+A spurious closure folds the map: spheres of unconnected places come to overlap, and the keyframes there see
+a different heat kernel on pose graph and merged graph. The paper weighs the largest change on the map (Λ), which
 an old defect elsewhere can mask. Here every keyframe is compared with itself, before and after, near what changed.
 """
 
@@ -51,14 +51,14 @@ AT_ONCE = 2_000_000  # pairs of keyframes that are compared in one go: some hund
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Contacts:
-    """Which keyframes of a pose graph are connected, and which only touch.
+    """The pairs of keyframes of a pose graph that are connected, and those that only touch.
 
     Attributes
     ----------
     connected : (c,) int
-        Codes i · n + j, i < j, of the pose graph's edges and of the overlaps that they explain.
+        Codes i · n + j, i < j, of the pose graph's edges and of the overlaps that the edges explain.
     merged : (m,) int
-        Codes of those and of all other overlaps.
+        Codes of `connected` and of all other overlaps.
     """
 
     pose_graph: PoseGraph
@@ -82,7 +82,7 @@ def contacts(pose_graph: PoseGraph) -> Contacts:
 def bridged_overlaps(pose_graph: PoseGraph) -> Pairs:
     """Overlaps that a closure makes a matter of course, (k, 2).
 
-    What holds along the track (`track.track_edges`) holds through a closure between a and b: when
+    The rule along the track (`track.track_edges`) holds through a closure between a and b: when
     the way from i along the track to a, across to b, and along the track to j is no longer than
     r_i + r_j, the spheres of i and j must meet, however the way bends. Lengths are those of the
     estimate, so that every pair found does overlap.
@@ -113,7 +113,7 @@ def bridged_overlaps(pose_graph: PoseGraph) -> Pairs:
 
 
 def _even_parts(sizes: NDArray[np.int64]) -> Iterator[slice]:
-    """Slices of at least one item, and of no more than `AT_ONCE` in size where one item is not larger itself."""
+    """Slices of at least one item, and of at most `AT_ONCE` in size where an item is not larger itself."""
     start = 0
     while start < len(sizes):
         count = max(int(np.searchsorted(np.cumsum(sizes[start:]), AT_ONCE, side="right")), 1)
@@ -133,7 +133,7 @@ def _pairs_across(first: Pairs, ends: Pairs) -> tuple[NDArray[np.int64], NDArray
 def local_rise(before: Contacts, after: Contacts) -> tuple[Change, int | None]:
     """Stable score of the keyframe whose score rises most, and its index.
 
-    Only what lies near a changed edge or overlap can change, so the score is computed on the `REGION`
+    Only keyframes near a changed edge or overlap can change, so the score is computed on the `REGION`
     keyframes nearest to the changes, in hops: the cost does not grow with the map.
 
     Parameters
@@ -164,7 +164,7 @@ def local_rise(before: Contacts, after: Contacts) -> tuple[Change, int | None]:
 
 
 def _changed(before: Contacts, after: Contacts, n: int) -> NDArray[np.int64]:
-    """Keyframes at which an edge or an overlap comes or goes, those with most changes, ascending."""
+    """Keyframes at which an edge or an overlap comes or goes, the keyframes with most changes, ascending."""
     codes = [np.setxor1d(getattr(before, name), getattr(after, name)) for name in ("connected", "merged")]
     counts = np.bincount(pairs_of(np.concatenate(codes), n).ravel(), minlength=n)
     most = np.argsort(-counts, kind="stable")[: min(CHANGED, int((counts > 0).sum()))]
@@ -190,12 +190,19 @@ def _inside(place: NDArray[np.int64], edges: Pairs) -> Pairs:
 
 
 def log_odds(rise: float) -> float:
-    """What a rise says of true against false; a fall says no more than none."""
+    """Log odds of true against false for a rise; a fall says no more than no rise."""
     return RISE[0] + RISE[1] * max(rise, 0.0)
 
 
 def term(change: Change, label: str | None) -> Term:
-    """The evidence in words; `label` names the keyframe that suffers most, None where nothing changed."""
+    """The evidence in words; `label` names the keyframe that suffers most, None where nothing changed.
+
+    Parameters
+    ----------
+    change : Change
+    label : str, optional
+        Name of the keyframe that suffers most; None where nothing changed.
+    """
     if label is None:
         sentence = "No contact of free space changes."
     elif change.rise > SEEN:

@@ -1,4 +1,4 @@
-"""Log odds of true against false closures, from what they miss the map's prediction by.
+"""Log odds of true against false closures, from their differences from the map's prediction.
 
 A closure is true and measures a pose; or true and matches no more than a place; or false, and lies as far off as
 keyframes of this map lie apart. Where the drift is as wide as the map the three say the same, and nothing is held
@@ -40,9 +40,9 @@ def log_odds(model: DriftModel, missed: Array, predicted: Array) -> Array:
     Parameters
     ----------
     missed : (k, d) float
-        By how much each misses what the map predicts.
+        Difference of each closure from the map's prediction.
     predicted : (k, d, d) float
-        Covariance of that prediction; NaN where there is none, and then the log odds are NaN.
+        Covariance of that prediction; NaN without a prediction, and then the log odds are NaN.
     """
     known = np.isfinite(predicted).all(axis=(1, 2))
     found = np.full(len(missed), np.nan)
@@ -63,10 +63,10 @@ def log_odds(model: DriftModel, missed: Array, predicted: Array) -> Array:
 def log_odds_together(
     model: DriftModel, poses: Sequence[Any], later: Sequence[int], missed: Array, predicted: Array
 ) -> float:
-    """Log odds that closures of one revisit are true, against one false offset that all of them share.
+    """Log odds that closures of a revisit are true, against a false offset that all members share.
 
-    That members agree with each other says nothing: those of a false revisit do so as well. Where no offset fits all,
-    each is false by itself.
+    Agreement of the members with each other says nothing: members of a false revisit agree as well. Where no offset
+    fits all, each is false by itself.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ def log_odds_together(
     poses : sequence of gtsam.Pose2 or gtsam.Pose3
         Of the map that predicts.
     later : sequence of g int
-        Keyframe j of each closure, in whose frame it misses.
+        Keyframe j of each closure, in whose frame the difference is given.
     missed : (g, d) float
     predicted : (g d, g d) float
         Joint covariance of the predictions.
@@ -90,7 +90,7 @@ def log_odds_together(
 
 
 def _matched_together(model: DriftModel, missed: Array, covariance: Array) -> float:
-    """Log density of what closures miss, all of which measure poses or all match places."""
+    """Log density of differences of closures, of which all measure poses or all match places."""
     found = [
         np.log(share) + log_normal(missed.reshape(1, -1), (covariance + np.diag(tolerance))[None])[0]
         for share, tolerance in (
@@ -102,14 +102,29 @@ def _matched_together(model: DriftModel, missed: Array, covariance: Array) -> fl
 
 
 def log_normal(x: Array, covariances: Array) -> Array:
-    """log N(x; 0, C), (k,), of (k, d) vectors and (k, d, d) covariances."""
+    """log N(x; 0, C), (k,), of (k, d) vectors and (k, d, d) covariances.
+
+    Parameters
+    ----------
+    x : (k, d) float
+    covariances : (k, d, d) float
+    """
     _, log_determinants = np.linalg.slogdet(covariances)
     squares = np.einsum("ka,ka->k", x, np.linalg.solve(covariances, x[:, :, None])[:, :, 0])
     return np.asarray(-0.5 * (squares + log_determinants + x.shape[1] * np.log(2 * np.pi)))
 
 
 def term(odds: float, missed_m: float, missed_rad: float, allowed_m: float) -> Term:
-    """The evidence in words."""
+    """The evidence in words.
+
+    Parameters
+    ----------
+    odds : float
+    missed_m, missed_rad : float
+        Difference from the prediction.
+    allowed_m : float
+        Standard deviation of the prediction.
+    """
     if np.isnan(odds):
         sentence = "No tie leads between its keyframes: nothing predicts the closure."
     else:
