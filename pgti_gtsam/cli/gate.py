@@ -39,6 +39,13 @@ from pgti_gtsam.errors import InvalidOptionError
 from pgti_gtsam.gate import GatedGraph, GateOptions, LoopClosureGate, gate_graph
 from pgti_gtsam.gate.batch import leave_one_out
 from pgti_gtsam.plain_text import visible
+from pgti_gtsam.report.closure_text import (
+    print_closures,
+    print_decisions,
+    print_heading,
+    print_left_out,
+    print_tally,
+)
 from pgti_gtsam.report.decisions import (
     Record,
     closures_document,
@@ -48,7 +55,6 @@ from pgti_gtsam.report.decisions import (
 )
 from pgti_gtsam.report.document import write_json
 from pgti_gtsam.report.gate_page import write_gate_page
-from pgti_gtsam.report.terminal import print_closures, print_decisions, print_heading, print_left_out, print_tally
 
 ARCHIVES = (gtsam_archive.NAME, gtsam_archive.XML_NAME)
 Tell = Callable[[str, int, int], None]
