@@ -99,7 +99,7 @@ def look_alike_worlds(
     names: Annotated[str, typer.Option("--worlds", help="Which, between commas.")] = ",".join(LAYOUTS),
     seeds: Annotated[str, typer.Option(help="Seeds of the drives, between commas.")] = "0,1,2,3,4",
     scheduler: Annotated[str | None, typer.Option(help="Address of a Dask scheduler; a local cluster without.")] = None,
-    limit: Annotated[float, typer.Option(help="Seconds after which a method has failed.")] = 300.0,
+    limit: Annotated[float, typer.Option(help="Processor seconds after which a method has failed.")] = 300.0,
     out: Annotated[Path, typer.Option(help="A JSON line a trial; known ones are kept.")] = RESULTS / "worlds.jsonl",
 ) -> None:
     """Seven ray-cast worlds that look alike: the gate and twelve others, told right and wrong sigmas. An hour."""
@@ -126,7 +126,7 @@ def look_alike_worlds(
 def odometry_that_errs_otherwise(
     seeds: Annotated[str, typer.Option(help="Seeds of the drives, between commas.")] = "0,1",
     scheduler: Annotated[str | None, typer.Option(help="Address of a Dask scheduler; a local cluster without.")] = None,
-    limit: Annotated[float, typer.Option(help="Seconds after which a method has failed.")] = 300.0,
+    limit: Annotated[float, typer.Option(help="Processor seconds after which a method has failed.")] = 300.0,
     out: Annotated[Path, typer.Option(help="A JSON line a trial; known ones are kept.")] = RESULTS / "drifts.jsonl",
 ) -> None:
     """The same worlds with other odometry: no drift to thrice the drift, slips, bad steps. A quarter of an hour."""
@@ -147,7 +147,7 @@ def outliers_in_standard_graphs(
     seeds: Annotated[str, typer.Option(help="Seeds of the outliers, between commas.")] = "0,1,2,3,4",
     names: Annotated[str, typer.Option("--methods", help="Which, between commas.")] = ",".join(QUICK),
     scheduler: Annotated[str | None, typer.Option(help="Address of a Dask scheduler; a local cluster without.")] = None,
-    limit: Annotated[float, typer.Option(help="Seconds after which a method has failed.")] = 300.0,
+    limit: Annotated[float, typer.Option(help="Processor seconds after which a method has failed.")] = 300.0,
     out: Annotated[Path, typer.Option(help="A JSON line a trial; known ones are kept.")] = RESULTS / "field.jsonl",
 ) -> None:
     """Outliers of four kinds, 10 to 100 % of the inliers, in standard graphs, by every method. 20 minutes."""

@@ -1,6 +1,9 @@
 """Aliasing in small: labels come from geometry, rows are repeatable and resumed, every method answers."""
 
 import json
+import os
+import subprocess
+import sys
 from itertools import accumulate
 from pathlib import Path
 
@@ -17,7 +20,7 @@ from scenarios.aliasing import field, figure, maps, methods, tables, trials
 from scenarios.aliasing.helper import Helper
 from scenarios.aliasing.trials import Trial
 from scenarios.problem import Problem, alone, space
-from scenarios.worlds import drift, layouts, sensors
+from scenarios.worlds import alignment, drift, layouts, sensors
 from scenarios.worlds.solid import Solid, box
 
 pytestmark = needs_open3d
@@ -119,6 +122,55 @@ def test_the_same_seed_gives_the_same_problem_whatever_methods_are_told():
     np.testing.assert_array_equal(one.true, other.true)
     assert one.radii == other.radii
     np.testing.assert_array_equal(other.graph.at(1).noiseModel().sigmas(), 1.0)
+
+
+DIGEST = """
+import hashlib, json, os
+os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:{cores}])
+from scenarios import worlds
+driven = worlds.drive("campus", 1000, 120.0)
+parts = [driven.pairs, *(pose.matrix() for pose in (*driven.measured, *driven.truth, *driven.odometry.steps))]
+radii = json.dumps(driven.radii)
+print(len(driven.pairs), hashlib.sha256(b"".join(part.tobytes() for part in parts) + radii.encode()).hexdigest())
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="this system binds no process to cores")
+def test_two_processes_make_the_same_world_whatever_their_threads_and_hash_seeds():
+    said = [
+        subprocess.Popen(
+            [sys.executable, "-c", DIGEST.format(cores=cores)],
+            cwd=Path(__file__).parents[1],
+            env=os.environ | {"PYTHONHASHSEED": str(cores), "OMP_NUM_THREADS": str(cores)},
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        for cores in (1, 2)
+    ]
+    one, other = (process.communicate()[0] for process in said)
+    assert one == other
+    assert int(one.split()[0]) > 5
+
+
+def test_two_views_of_a_corner_align_to_where_they_were_taken_from():
+    random = np.random.default_rng(0)
+    across = random.uniform(0.5, 3.0, (3, 200, 2))
+    points = np.concatenate([np.insert(plane, axis, 0.0, axis=1) for axis, plane in enumerate(across)])
+    normals = np.repeat(np.eye(3), 200, axis=0)
+    moved = gtsam.Pose3(gtsam.Rot3.Ypr(0.03, -0.02, 0.01), np.array([0.05, -0.03, 0.04]))
+    seen = np.array([moved.transformTo(point) for point in points])
+    later = alignment.Cloud.of(seen, normals @ moved.rotation().matrix())
+    found = alignment.icp(alignment.Cloud.of(points, normals), later, gtsam.Pose3(), 0.3)
+    assert found.fitness == 1.0
+    assert found.pose.equals(moved, 1e-5)
+
+
+def test_alignment_makes_no_motion_that_a_bare_plane_leaves_free():
+    x, y = np.meshgrid(np.linspace(-2, 2, 9), np.linspace(-2, 2, 9))
+    points = np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
+    floor = alignment.Cloud.of(points, np.tile([0.0, 0.0, 1.0], (x.size, 1)))
+    found = alignment.icp(floor, floor, gtsam.Pose3(gtsam.Rot3(), np.array([0.1, 0.0, 0.2])), 1.0)
+    assert found.pose.equals(gtsam.Pose3(gtsam.Rot3(), np.array([0.1, 0.0, 0.0])), 1e-9)
 
 
 @pytest.mark.parametrize("world", ["warehouse", "tunnel"])

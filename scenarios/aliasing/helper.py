@@ -1,8 +1,12 @@
-"""A process of its own for methods that may not come to an end: run as `python -m scenarios.aliasing.helper FD`."""
+"""A process of its own for methods that may not come to an end: run as `python -m scenarios.aliasing.helper FD`.
+
+Limits are of processor time, so that what else runs on a machine does not decide which method has an answer.
+"""
 
 from __future__ import annotations
 
 import multiprocessing
+import signal
 import subprocess
 import sys
 from multiprocessing.connection import Connection
@@ -27,20 +31,18 @@ class Helper:
         Raises
         ------
         TimeoutError
-            There was none after `limit_s` seconds.
+            There was none within `limit_s` seconds of processor time.
         RuntimeError
             GTSAM gave up, or the process ended.
         """
         if self._process is None:
             self._start()
-        self._ours.send((problem, method))
-        if not self._ours.poll(limit_s):
-            self.close()
-            raise TimeoutError(f"no answer after {limit_s:g} s")
+        self._ours.send((problem, method, limit_s))
         try:
             answer = self._ours.recv()
         except EOFError as error:
-            self.close()
+            if self._ended() == -signal.SIGPROF:
+                raise TimeoutError(f"no answer within {limit_s:g} s") from error
             raise RuntimeError("the process that ran the method ended") from error
         if isinstance(answer, RuntimeError):
             raise answer
@@ -50,9 +52,13 @@ class Helper:
         """End the process."""
         if self._process is not None:
             self._process.kill()
-            self._process.wait()
-            self._ours.close()
-            self._process = None
+            self._ended()
+
+    def _ended(self) -> int:
+        """Wait for the process to end; its exit code."""
+        process, self._process = self._process, None
+        self._ours.close()
+        return 0 if process is None else process.wait()
 
     def _start(self) -> None:
         self._ours, theirs = multiprocessing.Pipe()
@@ -66,13 +72,15 @@ def _serve(connection: Connection[Any, Any]) -> None:
 
     while True:
         try:
-            problem, method = connection.recv()
+            problem, method, limit_s = connection.recv()
         except EOFError:  # nobody asks any more
             return
+        signal.setitimer(signal.ITIMER_PROF, limit_s)
         try:
             answer: Any = methods.solve(problem, method)
         except RuntimeError as error:  # what GTSAM raises where its solver gives up
             answer = RuntimeError(str(error).strip().splitlines()[0][:120])
+        signal.setitimer(signal.ITIMER_PROF, 0)
         try:
             connection.send(answer)
         except BrokenPipeError:  # the one who asked is gone

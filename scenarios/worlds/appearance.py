@@ -10,13 +10,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
 
 import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from pgti_gtsam.dense_map import load_open3d
+from scenarios.worlds.alignment import Cloud, icp
 from scenarios.worlds.sensors import Sensor
 from scenarios.worlds.solid import Array, Hits, Solid
 
@@ -86,10 +85,12 @@ def matched(
     pairs, measured = [], []
     for j in range(0, len(scans), EVERY):
         for i in _best(unlike[j], alike):
-            found = _aligned(clouds[i], clouds[j], gtsam.Pose3(gtsam.Rot3.Yaw(turns[j, i]), np.zeros(3)), reach_m)
+            first = gtsam.Pose3(gtsam.Rot3.Yaw(turns[j, i]), np.zeros(3))
+            rough = icp(clouds[i], clouds[j], first, reach_m)
+            found = icp(clouds[i], clouds[j], rough.pose, reach_m / 3)
             if found.fitness >= aligned:
                 pairs.append((i, j))
-                measured.append(_rounded(gtsam.Pose3(found.transformation)))
+                measured.append(_rounded(found.pose))
     return Proposals(pairs=np.array(pairs, dtype=int).reshape(-1, 2), measured=measured)
 
 
@@ -133,9 +134,8 @@ def _best(unlike: Array, alike: float) -> list[int]:
     return found
 
 
-def _cloud(scan: Hits, sensor: Sensor) -> Any:
+def _cloud(scan: Hits, sensor: Sensor) -> Cloud:
     """Points with normals; a scanner of one plane knows that it stands on a floor."""
-    o3d = load_open3d()
     seen = np.isfinite(scan.distances)
     points, normals = scan.points[seen], scan.normals[seen]
     if sensor.planar:
@@ -143,21 +143,11 @@ def _cloud(scan: Hits, sensor: Sensor) -> Any:
         floor = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, -0.5)])
         points = np.concatenate([points, floor])
         normals = np.concatenate([normals, np.broadcast_to([0.0, 0.0, 1.0], floor.shape)])
-    cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points))
-    cloud.normals = o3d.utility.Vector3dVector(normals)
-    return cloud
-
-
-def _aligned(earlier: Any, later: Any, first: gtsam.Pose3, reach_m: float) -> Any:
-    """Open3D's result for the pose of the later keyframe in the earlier one's frame."""
-    registration = load_open3d().pipelines.registration
-    estimation = registration.TransformationEstimationPointToPlane()
-    found = registration.registration_icp(later, earlier, reach_m, first.matrix(), estimation)
-    return registration.registration_icp(later, earlier, reach_m / 3, found.transformation, estimation)
+    return Cloud.of(points, normals)
 
 
 def _rounded(pose: gtsam.Pose3) -> gtsam.Pose3:
-    """To a micrometre: Open3D sums in parallel, and its last digits differ from run to run."""
+    """To a micrometre: how many digits of a sum are the same hangs on the processor."""
     return gtsam.Pose3(
         gtsam.Rot3.Expmap(np.round(gtsam.Rot3.Logmap(pose.rotation()), 6)), np.round(pose.translation(), 6)
     )
