@@ -10,7 +10,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pgti_gtsam.checks import real_array, whole_array
+from pgti_gtsam.checks import pairs, real_array, whole_array
 from pgti_gtsam.errors import InvalidGraphError, InvalidValueError, NoPoseError
 from pgti_gtsam.pair_codes import codes_of, pairs_of
 from pgti_gtsam.sightings import Sightings
@@ -118,7 +118,7 @@ class PoseGraph:
         keys = _checked_keys(self.keys)
         positions = _checked_positions(keys, self.positions)
         radii = _checked_radii(keys, self.radii)
-        edges = _checked_edges(len(keys), self.edges)
+        edges = pairs(self.edges, len(keys), "keyframes")
 
         # what each edge carries
         m = len(edges)
@@ -197,18 +197,6 @@ def _checked_radii(keys: NDArray[np.uint64], radii: ArrayLike) -> NDArray[np.flo
         raise InvalidValueError(
             f"expected a radius of zero or more metres, got {checked[i]} at keyframe {key_label(int(keys[i]))}"
         )
-    return checked
-
-
-def _checked_edges(n: int, edges: ArrayLike) -> NDArray[np.int64]:
-    given = whole_array(edges, "edges")
-    checked = given.astype(np.int64).reshape(-1, 2) if given.size == 0 else given.astype(np.int64)
-    if checked.ndim != 2 or checked.shape[1] != 2:
-        raise InvalidGraphError(f"expected edges of shape (m, 2), got {given.shape}")
-    bad = (checked < 0).any(axis=1) | (checked >= n).any(axis=1) | (checked[:, 0] == checked[:, 1])
-    if bad.any():
-        i, j = checked[bad.argmax()]
-        raise InvalidGraphError(f"expected edges between two different keyframes of 0 to {n - 1}, got ({i}, {j})")
     return checked
 
 

@@ -16,11 +16,16 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse import csgraph
 
+from pgti_gtsam.checks import instance, shown, whole
 from pgti_gtsam.diffusion.linearisation import Frame, Linearisation
 from pgti_gtsam.errors import InvalidGraphError
 
 LARGEST_ELIMINATED = 3000
 """Columns of one connected group of eliminated variables, which is decomposed as a dense matrix."""
+
+ROUNDING = 1e-13
+"""What marginalising leaves of a diagonal entry below this share of the entry is rounding: nothing holds that
+direction."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -77,16 +82,25 @@ def normal_equations(linearisation: Linearisation) -> NormalEquations:
     ------
     InvalidGraphError
         The variables to eliminate hang together in a group of more than `LARGEST_ELIMINATED` columns.
+    InvalidOptionError
+        No linearisation.
     """
+    instance(linearisation, Linearisation, "a linearisation")
+
+    # of the poses
     jacobian, residual, n_poses = linearisation.jacobian, linearisation.residual, linearisation.n_pose_columns
     poses, others = jacobian[:, :n_poses], jacobian[:, n_poses:]
     alone = not others.shape[1]
     hessian, gradient, constant = poses.T @ poses, poses.T @ residual, 0.5 * float(residual @ residual)
+
+    # less what the other variables take up
     if not alone:
         eliminated = _block_pseudo_inverse(sparse.csr_array(others.T @ others))
         coupling, right = poses.T @ others, others.T @ residual
+        before = hessian.diagonal()
         hessian = hessian - coupling @ eliminated @ coupling.T
-        gradient = gradient - coupling @ (eliminated @ right)
+        held = sparse.diags_array((hessian.diagonal() > ROUNDING * before).astype(float))
+        hessian, gradient = held @ hessian @ held, held @ (gradient - coupling @ (eliminated @ right))
         constant -= 0.5 * float(right @ (eliminated @ right))
     hessian = sparse.csr_array(0.5 * (hessian + hessian.T))
     return NormalEquations(
@@ -130,6 +144,31 @@ def _block_pseudo_inverse(matrix: sparse.csr_array) -> sparse.csr_array:
     return sparse.coo_array((parts[0], (parts[1], parts[2])), shape=matrix.shape).tocsr()
 
 
+def checked_blocks(matrix: sparse.csr_array, dimension: int) -> sparse.csr_array:
+    """A sparse matrix of d × d blocks, checked.
+
+    Parameters
+    ----------
+    matrix : sparse.csr_array
+        (n d, n d).
+    dimension : int
+        d.
+
+    Raises
+    ------
+    InvalidGraphError, InvalidOptionError
+        Another type, size or dimension, or entries that are not finite.
+    """
+    d = whole(dimension, "the dimension of a block", least=1)
+    if not sparse.issparse(matrix):
+        raise InvalidGraphError(f"expected a sparse matrix, got {shown(matrix)}")
+    if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1] or not matrix.shape[0] or matrix.shape[0] % d:
+        raise InvalidGraphError(f"expected a square matrix of {d} × {d} blocks, got one of shape {matrix.shape}")
+    if matrix.dtype.kind not in "iuf" or not np.isfinite(matrix.data).all():
+        raise InvalidGraphError(f"expected a matrix of finite real numbers, got another of {matrix.dtype}")
+    return sparse.csr_array(matrix)
+
+
 def row_defects(equations: NormalEquations) -> NDArray[np.float64]:
     """How far each block row is from summing to zero, without units, (n,).
 
@@ -138,6 +177,7 @@ def row_defects(equations: NormalEquations) -> NDArray[np.float64]:
     origin, which makes the rotational entries of the spatial frame large. Zero at the vertices of a block
     Laplacian, 1 at a vertex that only a prior ties, zero at a vertex without a factor.
     """
+    instance(equations, NormalEquations, "equations")
     n, d = equations.n_vertices, equations.dimension
     sums = np.asarray(equations.hessian @ np.tile(np.eye(d), (n, 1))).reshape(n, d, d)
     scale = np.sqrt(np.maximum(equations.hessian.diagonal(), 0.0)).reshape(n, d)
@@ -160,6 +200,7 @@ def weight_asymmetry(equations: NormalEquations) -> float:
     and zero here. In the body frame, and behind a marginalised landmark, the block is in general no
     conductance at all.
     """
+    instance(equations, NormalEquations, "equations")
     n, d = equations.n_vertices, equations.dimension
     blocks = sparse.bsr_array(equations.hessian, blocksize=(d, d))
     rows = np.repeat(np.arange(n), np.diff(blocks.indptr))

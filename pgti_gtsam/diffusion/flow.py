@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy import linalg, sparse
 from scipy.sparse.linalg import LinearOperator, eigsh, expm_multiply, splu
 
-from pgti_gtsam.checks import real_array
+from pgti_gtsam.checks import finite_array, instance, pairs, real_array, whole
 from pgti_gtsam.diffusion.block_laplacian import NormalEquations
 from pgti_gtsam.errors import InvalidOptionError, UnsolvableGraphError
 from pgti_gtsam.spectral.poles import fit_from_zero, place
@@ -126,11 +126,18 @@ def steady_state(equations: NormalEquations) -> FloatArray:
     ------
     UnsolvableGraphError
         H is singular.
+    InvalidOptionError
+        No normal equations.
     """
+    instance(equations, NormalEquations, "equations")
+
+    # a factorisation without vanishing pivots
     matrix = sparse.csc_array(equations.hessian)
     factor = factorised(matrix)
     if (factor.U.diagonal() < VANISHING_PIVOT * matrix.diagonal()[np.argsort(factor.perm_c)]).any():
         raise UnsolvableGraphError(NOT_HELD)
+
+    # its solution, refined
     solution: FloatArray = factor.solve(-equations.gradient)
     for _ in range(REFINEMENTS):
         solution = solution - factor.solve(equations.gradient_at(solution))
@@ -142,7 +149,7 @@ def steady_state(equations: NormalEquations) -> FloatArray:
 def extreme_eigenvalues(equations: NormalEquations) -> tuple[float, float]:
     """λ_min and λ_max of H: the flow starts within 1/λ_max and has ended a few 1/λ_min later. λ_min is 0
     where H is singular."""
-    matrix = equations.hessian
+    matrix = instance(equations, NormalEquations, "equations").hessian
     if matrix.shape[0] <= MODES_UP_TO // 4:
         found = linalg.eigvalsh(matrix.toarray())
         return max(float(found[0]), 0.0), float(found[-1])
@@ -201,6 +208,7 @@ class HeatFlow:
 
     def energies(self, states: FloatArray) -> FloatArray:
         """½‖e + Jδ‖² of states (n_times, N): falls along the flow, at the rate ‖Hδ + g‖²."""
+        states = finite_array(states, "states", None, len(self.steady))
         curved = 0.5 * np.einsum("ti,ti->t", states, (self.equations.hessian @ states.T).T)
         return np.asarray(curved + states @ self.equations.gradient + self.equations.constant)
 
@@ -217,13 +225,23 @@ def heat_flow(
         δ at time zero; zero when left out.
     steady : (N,) float, optional
         The steady state, where already known.
+
+    Raises
+    ------
+    InvalidGraphError, InvalidOptionError
+        No normal equations, or a state that has not as many finite numbers.
+    UnsolvableGraphError
+        H is singular.
     """
-    ending = steady_state(equations) if steady is None else steady
-    return HeatFlow(equations=equations, steady=ending, start=np.zeros(len(ending)) if start is None else start)
+    n = len(instance(equations, NormalEquations, "equations").gradient)
+    begin = np.zeros(n) if start is None else finite_array(start, "the start", n)
+    ending = steady_state(equations) if steady is None else finite_array(steady, "the steady state", n)
+    return HeatFlow(equations=equations, steady=ending, start=begin)
 
 
 def unforced(equations: NormalEquations) -> NormalEquations:
     """The same without residuals: how a perturbation dies away."""
+    instance(equations, NormalEquations, "equations")
     residual = None if equations.residual is None else np.zeros(len(equations.residual))
     return replace(equations, gradient=np.zeros(len(equations.gradient)), constant=0.0, residual=residual)
 
@@ -253,15 +271,28 @@ def relative_consensus(
     -------
     NormalEquations
         With H = CᵀWC ⊗ 1_k: k copies of a scalar Laplacian.
+
+    Raises
+    ------
+    InvalidGraphError, InvalidOptionError
+        Vertices, edges, differences and weights that do not fit together, or are not finite.
     """
-    pairs, z = np.asarray(edges, dtype=np.int64).reshape(-1, 2), np.asarray(measured, dtype=float)
-    m, k = len(pairs), z.shape[1]
-    rows = np.repeat(np.arange(m), 2)
-    incidence = sparse.coo_array((np.tile([1.0, -1.0], m), (rows, pairs.ravel())), shape=(m, n_vertices)).tocsr()
-    w = np.ones(m) if weights is None else np.asarray(weights, dtype=float)
-    weighted = incidence.T @ sparse.diags_array(w)
-    ground = sparse.coo_array(([1.0], ([held], [held])), shape=(n_vertices, n_vertices)) if held is not None else 0.0
-    matrix = weighted @ incidence + ground if held is not None else weighted @ incidence
+    n = whole(n_vertices, "the number of vertices", least=1)
+    ends = pairs(edges, n, "vertices")
+    m = len(ends)
+    z = finite_array(measured, "measured differences", m, None)
+    w = np.ones(m) if weights is None else finite_array(weights, "weights", m)
+
+    # CᵀWC, and one vertex held
+    incidence = sparse.coo_array((np.tile([1.0, -1.0], m), (np.repeat(np.arange(m), 2), ends.ravel())), shape=(m, n))
+    weighted = incidence.tocsr().T @ sparse.diags_array(w)
+    matrix = weighted @ incidence
+    if held is not None:
+        at = whole(held, "the vertex that is held", least=0, most=n - 1)
+        matrix = matrix + sparse.coo_array(([1.0], ([at], [at])), shape=(n, n))
+
+    # a copy for each coordinate
+    k = z.shape[1]
     return NormalEquations(
         hessian=sparse.csr_array(sparse.kron(matrix, sparse.eye_array(k))),
         gradient=-np.asarray(weighted @ z).ravel(),

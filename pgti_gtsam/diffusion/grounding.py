@@ -17,9 +17,11 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse import csgraph
 
-from pgti_gtsam.diffusion.block_laplacian import normal_equations
+from pgti_gtsam.checks import instance, shown
+from pgti_gtsam.diffusion.block_laplacian import checked_blocks, normal_equations
 from pgti_gtsam.diffusion.linearisation import Linearisation, in_space
-from pgti_gtsam.factor_graphs import joined
+from pgti_gtsam.errors import InvalidGraphError
+from pgti_gtsam.factor_graphs import check_map, joined
 
 NO_MOTION = 1e-9
 """A motion of a part that changes errors by less, relative to what moving each of its poses alone would,
@@ -60,7 +62,7 @@ def components(hessian: sparse.csr_array, dimension: int) -> NDArray[np.int32]:
     dimension : int
         d.
     """
-    blocks = sparse.bsr_array(hessian, blocksize=(dimension, dimension))
+    blocks = sparse.bsr_array(checked_blocks(hessian, dimension), blocksize=(dimension, dimension))
     shape = (len(blocks.indptr) - 1,) * 2
     pattern = sparse.csr_array((np.ones(len(blocks.indices)), blocks.indices, blocks.indptr), shape=shape)
     labels: NDArray[np.int32] = csgraph.connected_components(pattern, directed=False)[1]
@@ -73,7 +75,7 @@ def grounds(body: Linearisation) -> list[Ground]:
     A part with a position from a satellite is fixed but for the rotation about that position: only the rotation is
     grounded.
     """
-    equations = normal_equations(in_space(body))
+    equations = normal_equations(in_space(instance(body, Linearisation, "a linearisation")))
     d, labels = equations.dimension, components(equations.hessian, equations.dimension)
     moved = np.tile(np.eye(d), (equations.n_vertices, 1))
     sums = (np.asarray(equations.hessian @ moved)).reshape(-1, d, d)
@@ -105,8 +107,15 @@ def grounded(body: Linearisation, added: Sequence[Ground]) -> Linearisation:
         Linearisation in the body frame.
     added : sequence of Ground
     """
+    instance(body, Linearisation, "a linearisation")
+    added = _checked(added)
     if not added:
         return body
+    missing = [ground.key for ground in added if ground.key not in body.keys]
+    if missing:
+        raise InvalidGraphError(f"expected grounds at keyframes of the graph, got one at key {missing[0]}")
+
+    # a row for each direction that is held
     d, width = body.dimension, body.jacobian.shape[1]
     row = {int(key): i for i, key in enumerate(body.keys)}
     blocks = []
@@ -114,6 +123,8 @@ def grounded(body: Linearisation, added: Sequence[Ground]) -> Linearisation:
         k, first = len(ground.matrix), row[ground.key] * d
         entry = sparse.coo_array(ground.matrix)
         blocks.append(sparse.coo_array((entry.data, (entry.row, entry.col + first)), shape=(k, width)))
+
+    # behind those of the factors
     n_rows = sum(len(ground.matrix) for ground in added)
     return replace(
         body,
@@ -133,7 +144,15 @@ def grounded_graph(
     graph, values
     added : sequence of Ground
     """
+    check_map(graph, values)
     together = joined(graph)
-    for ground in added:
+    for ground in _checked(added):
         together.push_back(gtsam.LinearContainerFactor(ground.linear_factor(), values))
     return together
+
+
+def _checked(added: Sequence[Ground]) -> Sequence[Ground]:
+    """Grounds as `grounds` returns them."""
+    if not isinstance(added, Sequence) or not all(isinstance(ground, Ground) for ground in added):
+        raise InvalidGraphError(f"expected grounds in a list, got {shown(added)}")
+    return added

@@ -10,7 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from pgti_gtsam.diffusion.linearisation import GROUPS
+from pgti_gtsam.checks import finite_array, shown
+from pgti_gtsam.diffusion.linearisation import GROUPS, dimensions, linearised
+from pgti_gtsam.errors import InvalidOptionError
 from pgti_gtsam.factor_graphs import check_map, slots_of
 
 BETWEEN = {getattr(gtsam, f"BetweenFactor{name}"): group for name, group in GROUPS.items()}
@@ -53,10 +55,16 @@ def equation_11(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> Equa
     graph : gtsam.NonlinearFactorGraph
     values : gtsam.Values
         An estimate of all variables.
+
+    Raises
+    ------
+    PgtiError
+        Those of `linearise`.
     """
     check_map(graph, values)
+    dims = dimensions(values)
     found = [
-        (slot, *_deviations(factor, group, values))
+        (slot, *_deviations(slot, factor, group, values, dims))
         for slot, factor in slots_of(graph)
         if (group := BETWEEN.get(type(factor))) is not None
     ]
@@ -83,18 +91,23 @@ def inverse_right_jacobian(group: Any, tangent: NDArray[np.float64]) -> NDArray[
     tangent : (d,) float
         ξ.
     """
-    d = len(tangent)
+    if group not in GROUPS.values():
+        raise InvalidOptionError(f"expected {', '.join(GROUPS)} of gtsam as the group, got {shown(group)}")
+    d = len(group.Logmap(group()))
+    tangent = finite_array(tangent, "a tangent vector", d)
     augmented = np.zeros((2 * d, 2 * d))
     augmented[:d, :d], augmented[:d, d:] = -group.adjointMap(tangent), np.eye(d)
     return np.asarray(np.linalg.inv(linalg.expm(augmented)[:d, d:]), dtype=np.float64)
 
 
-def _deviations(factor: Any, group: Any, values: gtsam.Values) -> tuple[float, float, float, float]:
+def _deviations(
+    slot: int, factor: Any, group: Any, values: gtsam.Values, dims: dict[int, int]
+) -> tuple[float, float, float, float]:
     i, j = factor.keys()
     at = getattr(values, f"at{group.__name__}")
     d = factor.dim()
     plain = factor.cloneWithNewNoiseModel(gtsam.noiseModel.Unit.Create(d))
-    matrix, _ = plain.linearize(values).jacobian()
+    _, matrix, _ = linearised(slot, plain, values, dims)
     error, adjoint = factor.unwhitenedError(values), at(j).inverse().AdjointMap()
     a, b = matrix[:, :d] @ at(i).inverse().AdjointMap(), matrix[:, d:] @ adjoint
     size = np.abs(b).max()

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from pgti_gtsam.checks import instance
 from pgti_gtsam.errors import (
     InvalidGraphError,
     InvalidValueError,
@@ -108,13 +109,13 @@ def linearise(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> Linear
     check_map(graph, values)
     group, keys, adjoints = _poses(values)
     d = adjoints.shape[-1]
-    dims = {int(key): int(size) for key, size in values.dims().items()}
+    dims = dimensions(values)
     others = sorted(set(dims) - set(keys))
     starts = len(keys) * d + np.concatenate([[0], np.cumsum([dims[key] for key in others])]).astype(np.int64)
     column = {key: i * d for i, key in enumerate(keys)} | dict(zip(others, starts.tolist(), strict=False))
 
     # each factor where its variables stand
-    blocks = [(slot, *_linearised(slot, factor, values, dims)) for slot, factor in slots_of(graph)]
+    blocks = [(slot, *linearised(slot, factor, values, dims)) for slot, factor in slots_of(graph)]
     if not blocks:
         raise InvalidGraphError(
             "expected a graph with factors, got none: there is nothing that heat could pass through"
@@ -134,13 +135,14 @@ def linearise(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> Linear
 
 def in_space(body: Linearisation) -> Linearisation:
     """The same factors with every pose perturbed from the left: J Ad(p⁻¹) in its columns. Other variables stay."""
-    if body.frame == "spatial":
+    if instance(body, Linearisation, "a linearisation").frame == "spatial":
         return body
     return replace(body, frame="spatial", jacobian=sparse.csr_array(body.jacobian @ to_body(body)))
 
 
 def to_body(linearisation: Linearisation) -> sparse.csr_array:
     """Block diagonal of the Ad(p_i⁻¹), with 1 for other variables: δ_body = T δ_space, square."""
+    instance(linearisation, Linearisation, "a linearisation")
     n, d, n_columns = len(linearisation.keys), linearisation.dimension, linearisation.jacobian.shape[1]
     blocks = sparse.bsr_array((linearisation.adjoints, np.arange(n), np.arange(n + 1)), shape=(n * d, n * d))
     return sparse.csr_array(sparse.block_diag([blocks, sparse.eye_array(n_columns - n * d)], format="csr"))
@@ -183,10 +185,29 @@ def _similarity(values: gtsam.Values, key: int) -> gtsam.Similarity3 | None:
         return None
 
 
-def _linearised(
+def dimensions(values: gtsam.Values) -> dict[int, int]:
+    """Dimension of every value, by key."""
+    return {int(key): int(size) for key, size in values.dims().items()}
+
+
+def linearised(
     slot: int, factor: Any, values: gtsam.Values, dims: dict[int, int]
 ) -> tuple[list[int], NDArray[np.float64], NDArray[np.float64]]:
-    """Keys, whitened Jacobian and whitened error of a factor; empty where the factor is inactive."""
+    """Keys, whitened Jacobian and whitened error of a factor; empty where the factor is inactive.
+
+    Parameters
+    ----------
+    slot : int
+    factor : gtsam.NonlinearFactor
+    values : gtsam.Values
+    dims : dict of int to int
+        `dimensions` of the values.
+
+    Raises
+    ------
+    MissingValueError, InvalidValueError, UnsolvableGraphError
+        Those of `linearise`.
+    """
     named = f"{type(factor).__name__} in slot {slot}"
     for key in factor.keys():  # noqa: SIM118
         if key not in dims:
@@ -247,11 +268,18 @@ def robust_weights(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> d
     graph : gtsam.NonlinearFactorGraph
     values : gtsam.Values
         An estimate of all variables.
+
+    Raises
+    ------
+    PgtiError
+        Those of `linearise`.
     """
-    weights = {}
+    check_map(graph, values)
+    weights, dims = {}, dimensions(values)
     for slot, factor in slots_of(graph):
         model = factor.noiseModel() if hasattr(factor, "noiseModel") else None
         if isinstance(model, gtsam.noiseModel.Robust):
+            linearised(slot, factor, values, dims)
             whitened = model.noise().whiten(factor.unwhitenedError(values))
             loss: Any = model.robust()
             weights[slot] = float(loss.weight(float(np.linalg.norm(whitened))))

@@ -15,11 +15,13 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
+from pgti_gtsam.checks import finite_array, in_a_line, instance, real, real_array, shown, whole
 from pgti_gtsam.diffusion.block_laplacian import normal_equations
 from pgti_gtsam.diffusion.flow import extreme_eigenvalues, heat_flow
 from pgti_gtsam.diffusion.grounding import Ground, grounded, grounded_graph, grounds
 from pgti_gtsam.diffusion.linearisation import Linearisation, linearise
-from pgti_gtsam.errors import InvalidOptionError, UnsolvableGraphError
+from pgti_gtsam.errors import InvalidGraphError, InvalidOptionError, MissingValueError, UnsolvableGraphError
+from pgti_gtsam.factor_graphs import check_map
 
 OPTIMISERS: dict[str, tuple[Any, Any]] = {
     "Gauss-Newton": (gtsam.GaussNewtonOptimizer, gtsam.GaussNewtonParams),
@@ -68,19 +70,35 @@ def gtsam_steps(
     Raises
     ------
     InvalidOptionError
-        Another method.
+        Another method, number of steps or damping.
     UnsolvableGraphError
         GTSAM finds the graph singular.
+    InvalidGraphError
+        No graph, no values, or values that are not those of its factors or not finite.
     """
-    if method not in OPTIMISERS:
-        raise InvalidOptionError(f"expected a method among {', '.join(OPTIMISERS)}, got {method!r}")
+    if not isinstance(method, str) or method not in OPTIMISERS:
+        raise InvalidOptionError(f"expected a method among {', '.join(OPTIMISERS)}, got {shown(method)}")
+    whole(n_steps, "the number of steps", least=0)
+    check_map(graph, values)
+
+    # set up
     optimiser_class, parameter_class = OPTIMISERS[method]
     parameters = parameter_class()
     parameters.setLinearSolverType("MULTIFRONTAL_QR")
     if damping is not None and method == "Levenberg-Marquardt":
-        parameters.setlambdaInitial(damping)
-    optimiser = optimiser_class(graph, values, parameters)
-    steps = [Step(method=method, iteration=0, energy=optimiser.error(), values=values)]
+        parameters.setlambdaInitial(_positive(damping, "damping"))
+    try:
+        optimiser = optimiser_class(graph, values, parameters)
+        start = optimiser.error()
+    except (RuntimeError, ValueError) as error:
+        raise InvalidGraphError(
+            f"expected values that the graph's factors take, got others: {in_a_line(error)}"
+        ) from error
+    if not np.isfinite(start):
+        raise InvalidGraphError(f"expected values at which the graph's error is finite, got {start}")
+
+    # from the start on
+    steps = [Step(method=method, iteration=0, energy=start, values=values)]
     for k in range(1, n_steps + 1):
         try:
             optimiser.iterate()
@@ -106,14 +124,27 @@ def gradient_descent(
     n_steps : int
     step : float, optional
         h in units of 1/H; 1/λ_max of the start when left out, half the length at which a step overshoots.
+
+    Raises
+    ------
+    PgtiError
+        Those of `linearise`, and where number or length of steps are none.
     """
+    whole(n_steps, "the number of steps", least=0)
+    length = None if step is None else _positive(step, "the step")
+    return _descent(linearise(graph, values), graph, values, n_steps, length)
+
+
+def _descent(
+    body: Linearisation, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, n_steps: int, step: float | None
+) -> Iterator[Step]:
     yield Step(method="gradient descent", iteration=0, energy=graph.error(values), values=values)
     for k in range(1, n_steps + 1):
-        body = linearise(graph, values)
         equations = normal_equations(body)
         step = 1 / extreme_eigenvalues(equations)[1] if step is None else step
         values = moved(body, values, -step * equations.gradient)
         yield Step(method="gradient descent", iteration=k, energy=graph.error(values), values=values)
+        body = linearise(graph, values)
 
 
 def relinearised_flow(
@@ -131,15 +162,31 @@ def relinearised_flow(
         The start.
     durations : (k,) float
         Length of each linear flow.
+
+    Raises
+    ------
+    InvalidOptionError
+        Durations that are no list of numbers of zero or more.
+    PgtiError
+        Those of `linearise`.
     """
+    times = real_array(durations, "durations")
+    if times.ndim != 1 or not (times >= 0).all():
+        raise InvalidOptionError(f"expected a list of durations of zero or more, got {shown(durations)}")
+    return _flow(linearise(graph, values), graph, values, times)
+
+
+def _flow(
+    body: Linearisation, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, durations: NDArray[np.float64]
+) -> Iterator[Step]:
     yield Step(method="flow", iteration=0, energy=graph.error(values), values=values)
     for k, duration in enumerate(durations, start=1):
-        body = linearise(graph, values)
         held = grounded(body, grounds(body))
         flow = heat_flow(normal_equations(held))
         delta = flow.steady if np.isinf(duration) else flow.at(np.array([duration]))[0]
         values = moved(body, values, delta)
         yield Step(method="flow", iteration=k, energy=graph.error(values), values=values)
+        body = linearise(graph, values)
 
 
 def gauss_newton_poses(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, added: list[Ground]) -> gtsam.Values:
@@ -180,7 +227,15 @@ def steady_state_error(
         Grounds.
     steady : (n d,) float
         Steady state of the flow.
+
+    Raises
+    ------
+    PgtiError
+        Those of `gtsam_steps` and `moved`.
     """
+    check_map(graph, values)
+    instance(body, Linearisation, "a linearisation")
+    steady = finite_array(steady, "the steady state", body.n_pose_columns)
     theirs = gauss_newton_poses(graph, values, added)
     difference = updates(body, moved(body, values, steady), theirs)
     size = float(np.linalg.norm(steady))
@@ -197,10 +252,18 @@ def moved(body: Linearisation, values: gtsam.Values, delta: NDArray[np.float64])
     values : gtsam.Values
     delta : (n d,) float
         δ_body.
+
+    Raises
+    ------
+    InvalidGraphError, InvalidOptionError
+        No linearisation, no values, or another number of shares.
+    MissingValueError
+        A pose of the linearisation has no value of its group.
     """
-    at, found = _reader(body, values), gtsam.Values(values)
-    for key, share in zip(body.keys.tolist(), delta.reshape(-1, body.dimension), strict=True):
-        found.update(key, at(key).retract(share))
+    poses, found = _poses(body, values), gtsam.Values(values)
+    shares = finite_array(delta, "δ", body.n_pose_columns).reshape(-1, body.dimension)
+    for key, pose, share in zip(body.keys.tolist(), poses, shares, strict=True):
+        found.update(key, pose.retract(share))
     return found
 
 
@@ -213,12 +276,29 @@ def updates(body: Linearisation, before: gtsam.Values, after: gtsam.Values) -> N
         Linearisation in the body frame.
     before, after : gtsam.Values
     """
-    first, second = _reader(body, before), _reader(body, after)
-    return np.array([first(key).localCoordinates(second(key)) for key in body.keys.tolist()])
+    pairs = zip(_poses(body, before), _poses(body, after), strict=True)
+    return np.array([first.localCoordinates(second) for first, second in pairs])
 
 
-def _reader(body: Linearisation, values: gtsam.Values) -> Any:
-    return getattr(values, f"at{body.group}")
+def _poses(body: Linearisation, values: gtsam.Values) -> list[Any]:
+    """Values of the poses of a linearisation."""
+    instance(body, Linearisation, "a linearisation")
+    if not isinstance(values, gtsam.Values):
+        raise InvalidGraphError(f"expected gtsam.Values, got {shown(values)}")
+    at, found = getattr(values, f"at{body.group}"), []
+    for key, label in zip(body.keys.tolist(), body.labels, strict=True):
+        try:
+            found.append(at(key))
+        except RuntimeError as error:  # GTSAM has no other way to ask for a value's type
+            raise MissingValueError(f"expected a {body.group} as value of {label}, got none") from error
+    return found
+
+
+def _positive(given: float, what: str) -> float:
+    number = real(given, what)
+    if not 0 < number < np.inf:
+        raise InvalidOptionError(f"expected {what} above 0 and finite, got {number}")
+    return number
 
 
 def matched_time(
@@ -234,15 +314,32 @@ def matched_time(
         δ(t). Between two times the flow is taken as a straight line, and time as its logarithm.
     update : (N,) float
         Zero gives time zero and no miss.
+
+    Raises
+    ------
+    InvalidGraphError, InvalidOptionError
+        Lengths that differ, numbers that are not finite, times that do not ascend.
     """
+    times, update = real_array(times, "times"), finite_array(update, "an update", None)
+    states = finite_array(states, "states", None, len(update))
+    if times.shape != (len(states),) or len(times) < 2 or not (times[0] > 0 and (np.diff(times) > 0).all()):
+        raise InvalidOptionError(
+            f"expected two or more ascending times above 0, one for each of {len(states)} states, got {shown(times)}"
+        )
+
+    # nothing to match
     size = float(np.linalg.norm(update))
     if size == 0:
         return 0.0, 0.0
+
+    # the nearest point of each stretch
     steps = np.diff(states, axis=0)
     lengths = (steps**2).sum(axis=1)
     towards = ((update - states[:-1]) * steps).sum(axis=1)
     share = np.clip(np.divide(towards, lengths, out=np.zeros_like(towards), where=lengths > 0), 0.0, 1.0)
     miss = np.linalg.norm(states[:-1] + share[:, None] * steps - update, axis=1) / size
+
+    # the nearest of all
     best = int(np.argmin(miss))
     first, last = times[best], times[best + 1]
     if np.isinf(last):

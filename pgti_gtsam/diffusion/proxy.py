@@ -14,9 +14,11 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.stats import rankdata
 
-from pgti_gtsam.diffusion.block_laplacian import NormalEquations
+from pgti_gtsam.checks import finite_array, instance, shown, whole, whole_array
+from pgti_gtsam.diffusion.block_laplacian import NormalEquations, checked_blocks
 from pgti_gtsam.diffusion.flow import MODES_UP_TO, factorised, modes
 from pgti_gtsam.diffusion.grounding import components
+from pgti_gtsam.errors import InvalidOptionError
 from pgti_gtsam.spectral.laplacian import laplacian
 from pgti_gtsam.spectral.poles import fit_from_zero, place
 
@@ -87,14 +89,26 @@ def compare(equations: NormalEquations, weights: FloatArray | None = None, *, n_
     -------
     Proxy
         Correlations are 1 where fewer than two keyframes or equal signatures leave nothing to order.
+
+    Raises
+    ------
+    InvalidGraphError, InvalidOptionError
+        No normal equations, another number of weights, or one below zero, or no time.
     """
-    n, d = equations.n_vertices, equations.dimension
+    whole(n_times, "the number of times", least=1)
+    n, d = instance(equations, NormalEquations, "equations").n_vertices, equations.dimension
     edges = block_edges(equations.hessian, d)
+    if weights is not None and (finite_array(weights, "weights", len(edges)) < 0).any():
+        raise InvalidOptionError(f"expected weights of zero or more, got {shown(weights)}")
+
+    # how heat fades on either
     plain = sparse.csr_array(laplacian(n, edges, weights))
     vertices = chosen_vertices(n, d)
     labels = components(equations.hessian, d)
     scalar_clock, scalar_heat = _decay(plain, 1, vertices, labels)
     block_clock, block_heat = _decay(equations.hessian, d, vertices, labels)
+
+    # at times at which as much is left
     times = _informative(scalar_clock, scalar_heat, n_times)
     matched = np.exp(
         _lookup(block_heat.mean(axis=0), np.log(block_clock), _at(scalar_clock, scalar_heat, times).mean(axis=0))
@@ -136,7 +150,7 @@ def block_edges(hessian: sparse.csr_array, dimension: int) -> NDArray[np.int64]:
     dimension : int
         d.
     """
-    blocks = sparse.bsr_array(hessian, blocksize=(dimension, dimension))
+    blocks = sparse.bsr_array(checked_blocks(hessian, dimension), blocksize=(dimension, dimension))
     blocks.sort_indices()
     rows = np.repeat(np.arange(len(blocks.indptr) - 1), np.diff(blocks.indptr))
     pairs = np.stack([rows, blocks.indices], axis=1).astype(np.int64)
@@ -149,7 +163,7 @@ def information_weights(equations: NormalEquations) -> FloatArray:
     For a single between factor of a pair the weight is det(Ω)^(1/d), up to det J_r, in the body frame as in the spatial
     frame: the determinant of the adjoint map of a rigid motion is 1. Zero where the information is singular.
     """
-    d = equations.dimension
+    d = instance(equations, NormalEquations, "equations").dimension
     blocks = sparse.bsr_array(equations.hessian, blocksize=(d, d))
     blocks.sort_indices()
     rows = np.repeat(np.arange(equations.n_vertices), np.diff(blocks.indptr))
@@ -164,6 +178,10 @@ def spearman(first: FloatArray, second: FloatArray) -> float:
     ----------
     first, second : (n,) float
     """
+    first = finite_array(first, "the first series", None)
+    second = finite_array(second, "the second series", len(first))
+    if not len(first):
+        raise InvalidOptionError("expected series of one value or more, got none")
     ranks = [
         rankdata(np.round(x / np.abs(x).max(), 9)) if np.abs(x).max() > 0 else rankdata(x) for x in (first, second)
     ]
@@ -173,7 +191,7 @@ def spearman(first: FloatArray, second: FloatArray) -> float:
 
 
 def heat_left(matrix: sparse.csr_array, dimension: int, vertices: NDArray[np.int64], times: FloatArray) -> FloatArray:
-    """tr K_ii(t) / d of chosen vertices, (k, n_times): the mean share of a unit of heat that is still where
+    """tr K_ii(t) / d of chosen vertices, (k, n_times): the mean share of a unit of heat that has not left.
 
     Parameters
     ----------
@@ -183,13 +201,31 @@ def heat_left(matrix: sparse.csr_array, dimension: int, vertices: NDArray[np.int
         d.
     vertices : (k,) int
     times : (n_times,) float
-    it was put."""
+
+    Raises
+    ------
+    InvalidGraphError, InvalidOptionError
+        No matrix of blocks, vertices of another, or times that are not above 0.
+    """
+    checked_blocks(matrix, dimension)
+    vertices = whole_array(vertices, "vertices")
+    if vertices.ndim != 1 or not ((vertices >= 0) & (vertices < matrix.shape[0] // dimension)).all():
+        raise InvalidOptionError(
+            f"expected a list of vertices of 0 to {matrix.shape[0] // dimension - 1}, got {shown(vertices)}"
+        )
+    times = finite_array(times, "times", None)
+    if not len(times) or (times <= 0).any():
+        raise InvalidOptionError(f"expected times above 0, got {shown(times)}")
+
+    # small: from all modes
     columns = (vertices[:, None] * dimension + np.arange(dimension)).ravel()
     shape = (len(vertices), dimension, len(times))
     if matrix.shape[0] <= MODES_UP_TO:
         found = modes(matrix)
         left = found.vectors[columns] ** 2 @ np.exp(-np.outer(found.eigenvalues, times))
         return np.asarray(left.reshape(shape).mean(axis=1))
+
+    # large: from resolvents
     largest = float(abs(matrix).sum(axis=0).max())
     shifts = place(1 / float(times.max()), largest, SAMPLE_TOLERANCE)
     fitted = fit_from_zero(shifts, times, largest)

@@ -9,9 +9,11 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse import csgraph
 
+from pgti_gtsam.checks import finite_array, instance, pairs, shown, whole
 from pgti_gtsam.diffusion.block_laplacian import NormalEquations
 from pgti_gtsam.diffusion.flow import exponential
 from pgti_gtsam.diffusion.proxy import block_edges
+from pgti_gtsam.errors import InvalidOptionError
 
 FloatArray = NDArray[np.float64]
 
@@ -79,12 +81,25 @@ def spread(equations: NormalEquations, vertex: int, times: FloatArray) -> Spread
     vertex : int
     times : (n_times,) float
         Ascending.
+
+    Raises
+    ------
+    InvalidGraphError, InvalidOptionError
+        No normal equations, no vertex of theirs, or times that are not ascending numbers of zero or more.
     """
-    n, d = equations.n_vertices, equations.dimension
+    n, d = instance(equations, NormalEquations, "equations").n_vertices, equations.dimension
+    whole(vertex, "a vertex", least=0, most=n - 1)
+    times = finite_array(times, "times", None)
+    if not len(times) or times[0] < 0 or (np.diff(times) <= 0).any():
+        raise InvalidOptionError(f"expected ascending times of zero or more, got {shown(times)}")
+
+    # shifts along each axis
     shifts = TRANSLATION.get(d, np.arange(d))
     k = len(shifts)
     units = np.zeros((n * d, k))
     units[vertex * d + shifts, np.arange(k)] = 1.0
+
+    # how they spread
     response = exponential(equations.hessian, units, times).reshape(len(times), n, d, k)[:, :, shifts]
     return Spread(
         vertex=vertex,
@@ -102,8 +117,15 @@ def hops_from(vertex: int, n_vertices: int, edges: NDArray[np.int64]) -> FloatAr
     vertex : int
     n_vertices : int
     edges : (m, 2) int
+
+    Raises
+    ------
+    InvalidGraphError, InvalidOptionError
+        No vertices, or edges between others.
     """
-    ones = np.ones(len(edges))
-    matrix = sparse.coo_array((ones, (edges[:, 0], edges[:, 1])), shape=(n_vertices, n_vertices)).tocsr()
+    n = whole(n_vertices, "the number of vertices", least=1)
+    whole(vertex, "a vertex", least=0, most=n - 1)
+    ends = pairs(edges, n, "vertices")
+    matrix = sparse.coo_array((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(n, n)).tocsr()
     hops: FloatArray = csgraph.shortest_path(matrix, directed=False, unweighted=True, indices=vertex)
     return hops

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from pgti_gtsam.adapter.values import read_keyframes
+from pgti_gtsam.checks import pairs, real, whole
 from pgti_gtsam.diffusion.block_laplacian import (
     NormalEquations,
     normal_equations,
@@ -24,7 +25,7 @@ from pgti_gtsam.diffusion.linearisation import Linearisation, in_space, linearis
 from pgti_gtsam.diffusion.optimisers import OPTIMISERS, gtsam_steps, matched_time, steady_state_error, updates
 from pgti_gtsam.diffusion.proxy import Proxy, block_edges, compare
 from pgti_gtsam.diffusion.spread import TRANSLATION, Spread, spread
-from pgti_gtsam.errors import UnsolvableGraphError
+from pgti_gtsam.errors import InvalidOptionError, UnsolvableGraphError
 from pgti_gtsam.spectral.laplacian import laplacian
 
 N_TIMES = 61
@@ -210,7 +211,14 @@ def time_grid(slowest: float, fastest: float) -> FloatArray:
     ----------
     slowest, fastest : float
         λ_min and λ_max.
+
+    Raises
+    ------
+    InvalidOptionError
+        Rates that are not positive and finite, or not in this order.
     """
+    if not 0 < real(slowest, "the slowest rate") <= real(fastest, "the fastest rate") < np.inf:
+        raise InvalidOptionError(f"expected rates above 0, the slowest first, got {slowest:.3g} and {fastest:.3g}")
     return np.geomspace(0.01 / fastest, 30 / slowest, N_TIMES)
 
 
@@ -257,9 +265,15 @@ def scalar_equations(n_vertices: int, edges: NDArray[np.int64]) -> NormalEquatio
     ----------
     n_vertices : int
     edges : (m, 2) int
+
+    Raises
+    ------
+    InvalidGraphError, InvalidOptionError
+        No vertices, or edges between others.
     """
+    whole(n_vertices, "the number of vertices", least=1)
     return NormalEquations(
-        hessian=sparse.csr_array(laplacian(n_vertices, edges)),
+        hessian=sparse.csr_array(laplacian(n_vertices, pairs(edges, n_vertices, "vertices"))),
         gradient=np.zeros(n_vertices),
         constant=0.0,
         dimension=1,
