@@ -1,8 +1,8 @@
 """Where places touch that no edge ties: pairs of keyframes grouped by revisit.
 
-A *revisit* is two stretches of track that run through the same space. One tie between them explains all of their
-overlaps, and those with other passes that are tied to either: so the revisits found here are as few as the ties that
-are missing.
+A *revisit* is two stretches of track that run through the same space. A single tie between the two explains all of
+their overlaps, and overlaps with other passes that are tied to either: so the revisits found here are as few as the
+ties that are missing.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class Revisit:
     stretches : ((int, int), (int, int))
         First and last keyframe of the earlier and of the later stretch.
     closest : (int, int)
-        The overlap where a tie is best: where the centres lie nearest in parts of the sum of their radii, or, along an
+        The overlap where a tie is best: where the centres lie nearest in units of the sum of the radii, or, along an
         untied pass, where the drift allows most.
     lengths_m : (float, float)
         Way along each stretch.
@@ -63,8 +63,8 @@ class Revisit:
 def tied_radius_m(pose_graph: PoseGraph) -> float:
     """A radius where nothing tells any, m: the median distance between keyframes that a loop closure ties.
 
-    A map's own closures say how far apart its maker takes two keyframes to be at one place. On the two scan graphs
-    whose radii are measured the rule gives 0.74 and 0.75 m, where the scans give 0.76 and 0.74 m.
+    A map's own closures say at what distance the map's maker takes two keyframes to be at the same place. On the two
+    scan graphs with measured radii the rule gives 0.74 and 0.75 m, where the scans give 0.76 and 0.74 m.
 
     Raises
     ------
@@ -84,8 +84,13 @@ def tied_radius_m(pose_graph: PoseGraph) -> float:
 def revisits(pose_graph: PoseGraph, integrity: Integrity, track: Track) -> list[Revisit]:
     """The collisions of a map as revisits, those that resolve most overlaps first.
 
-    The largest group of overlaps that lie beside each other on both stretches is taken for tied; what follows from it
-    belongs to its revisit. So on until nothing is left.
+    The largest group of overlaps that lie beside each other on both stretches is taken for tied; overlaps that follow
+    belong to the same revisit. So on until nothing is left.
+
+    Parameters
+    ----------
+    pose_graph, integrity
+    track : Track
     """
     n, odometry = len(pose_graph), pose_graph.edges[pose_graph.edge_sources & EdgeSource.ODOMETRY > 0]
     left, found = integrity.collision_edges, []
@@ -115,7 +120,18 @@ def revisit(
 ) -> Revisit:
     """The record of overlaps that were found to belong together.
 
-    A tie is best where the centres lie nearest, in parts of what the spheres reach, unless told otherwise.
+    A tie is best where the centres lie nearest, in units of the spheres' reach, unless told otherwise.
+
+    Parameters
+    ----------
+    pose_graph : PoseGraph
+    track : Track
+    edges : (k, 2) int
+        Overlaps of the revisit.
+    resolved : (l, 2) int, optional
+        Overlaps that a tie resolves; `edges` when left out.
+    tied_at : (2,) int, optional
+        Where a tie is best.
     """
     early, late = ((int(ends.min()), int(ends.max())) for ends in edges.T)
     gaps = np.linalg.norm(np.diff(pose_graph.positions[edges], axis=1)[:, 0], axis=1)
@@ -131,9 +147,14 @@ def revisit(
 
 
 def places_on(pose_graph: PoseGraph, track: Track) -> NDArray[np.float64]:
-    """A coordinate along the track, (n,), that grows by one in `WINDOW` keyframes or `REACH` ρ, whichever is more way.
+    """A coordinate along the track, (n,), that grows by 1 in `WINDOW` keyframes or `REACH` ρ, whichever is more way.
 
-    Between chains, which follow each other, it grows by more than any neighbourhood spans.
+    Between chains, which follow each other, the coordinate grows by more than any neighbourhood spans.
+
+    Parameters
+    ----------
+    pose_graph : PoseGraph
+    track : Track
     """
     positive = pose_graph.radii[pose_graph.radii > 0]
     unit = float(np.median(positive)) if len(positive) else np.inf
@@ -145,14 +166,14 @@ def places_on(pose_graph: PoseGraph, track: Track) -> NDArray[np.float64]:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Neighbourhoods:
-    """Overlaps by where they lie on both stretches.
+    """Overlaps by their positions on both stretches.
 
     Attributes
     ----------
     first : (c,) int
         An overlap in each neighbourhood.
     cell_of, group_of : (k,) int
-        Neighbourhood and group of every overlap: neighbourhoods that touch are in one group.
+        Neighbourhood and group of every overlap: neighbourhoods that touch are in the same group.
     """
 
     first: NDArray[np.int64]
@@ -161,15 +182,15 @@ class Neighbourhoods:
 
 
 def neighbourhoods(edges: NDArray[np.int64], places: NDArray[np.float64], most: int | None = None) -> Neighbourhoods:
-    """Sort overlaps into squares of half a unit of `places_on` on either stretch, or larger ones.
+    """Sort overlaps into squares of half a unit of `places_on` on either stretch, or larger squares.
 
     Parameters
     ----------
     edges : (k, 2) int
     places : (n,) float
-        As `places_on` has them.
+        As from `places_on`.
     most : int, optional
-        Most neighbourhoods: the squares grow until there are so many.
+        Most neighbourhoods: the squares grow until few enough.
     """
     size = 0.5
     while True:

@@ -1,4 +1,4 @@
-"""A file or folder that is to be read, and what a format is."""
+"""A file or folder to be read, and the record of a format."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from pgti_gtsam.errors import FileFormatError
 
 
 def _only_member(path: Path) -> IO[bytes]:
-    """The one file in a zip archive."""
+    """The only file in a zip archive."""
     archive = zipfile.ZipFile(path)
     members = [info for info in archive.infolist() if not info.is_dir()]
     if len(members) != 1:
@@ -45,7 +45,7 @@ LARGEST_RATIO, FREE_BYTES, LARGEST_BYTES = 200, 1 << 24, 1 << 32
 
 
 class Format(NamedTuple):
-    """A file format: its name for people, whether a source looks like it, its reader, and what may come with it."""
+    """A file format: name for people, recognition of a source, reader, and companion files."""
 
     name: str
     recognises: Callable[[Source], bool]
@@ -56,7 +56,7 @@ class Format(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Source:
-    """A file or folder, each part of it read once and only when a format asks.
+    """A file or folder, each part read once and only on demand.
 
     Attributes
     ----------
@@ -68,7 +68,7 @@ class Source:
     ignore_unknown : bool
         Lines that tie two variables in an unknown way are counted instead of refused.
     more : tuple of Path
-        Further text files whose lines belong to the same map.
+        Further text files of the same map.
     """
 
     path: Path
@@ -104,12 +104,12 @@ class Source:
 
     @property
     def tags(self) -> Set[str]:
-        """First fields of the lines; none of what is no text."""
+        """First fields of the lines; empty without text."""
         return self.file.tags.keys() if self.is_text else set()
 
     @property
     def first(self) -> list[str]:
-        """Fields of the first line; none of what is no text."""
+        """Fields of the first line; empty without text."""
         return self.file.lines[0].fields if self.is_text and self.file.lines else []
 
     @cached_property
@@ -125,7 +125,7 @@ class Source:
         return joined([first, *map(read_lines, self.more)]) if self.more else first
 
     def blank(self) -> TextFile:
-        """No lines: what takes notes and complains in the name of a source that is no text."""
+        """No lines: a file that takes notes and names this source in errors where the source is no text."""
         return TextFile(path=self.path, lines=(), tags={}, title=self.name)
 
     def error(self, message: str) -> FileFormatError:
@@ -138,7 +138,7 @@ class Source:
 
 
 def read_lines(path: Path) -> TextFile:
-    """The lines of a plain or compressed text file; raises what `read_text` raises."""
+    """The lines of a plain or compressed text file; raises as `read_text` does."""
     return split_lines(path, read_text(path))
 
 
@@ -162,10 +162,16 @@ def read_text(path: Path) -> str:
 def read_bytes(path: Path, limit: int | None = None) -> bytes:
     """The first ``limit`` bytes of a plain or compressed file, or all.
 
+    Parameters
+    ----------
+    path : Path
+    limit : int, optional
+        Bytes to read; all without.
+
     Raises
     ------
     FileFormatError
-        There is no such file, it is a folder, damaged, or unpacks to more than any map holds.
+        No such file, a folder, a damaged file, or a file that unpacks to more than any map holds.
     """
     try:
         with path.open("rb") as file:
@@ -192,7 +198,7 @@ def read_bytes(path: Path, limit: int | None = None) -> bytes:
 
 
 def _unpacked(path: Path, stream: IO[bytes]) -> bytes:
-    """All of a compressed stream, piece by piece, while it stays within the limits."""
+    """All of a compressed stream, in pieces, within the limits."""
     allowed = min(LARGEST_BYTES, max(FREE_BYTES, LARGEST_RATIO * path.stat().st_size))
     unpacked = bytearray()
     while piece := stream.read(STEP):

@@ -1,10 +1,11 @@
-"""The whole answer to "is this map right, and where not?": what is wrong, where, and what to do.
+"""The whole answer to "is this map right, and where not?": the faults, their places, and the remedies.
 
-1. PGTI scores the map and finds the overlaps that nothing explains (`integrity`); `places` groups them by revisit.
+1. PGTI scores the map and finds the overlaps that nothing explains (`integrity`); `places` groups the overlaps by
+revisit.
 2. Each of the map's own closures is judged against all the others (`gate.own_closures`).
-3. The drift model says of every contact how far its two stretches may lie apart, given all ties: whether the contact
-   is the space's or chance (`contacts`). It says the same of overlaps that are explained: a drive out and back along
-   one way is contractible at its turn, so that all its overlaps are explained though nothing ties the two passes.
+3. The drift model says of every contact how far the two stretches may lie apart, given all ties: whether the contact
+   is real or drift made (`contacts`). The model says the same of overlaps that are explained: a drive out and back
+   along a way is contractible at the turn, so that all overlaps there are explained though nothing ties the two passes.
 """
 
 from __future__ import annotations
@@ -41,26 +42,26 @@ def diagnose(
     beta: float = 0.5,
     progress: Callable[[str], None] = lambda step: None,
 ) -> Diagnosis:
-    """Say of a map whether it is right, where not, and what to do. Graph and values stay untouched.
+    """Say of a map whether it is right, where not, and how to mend it. Graph and values stay untouched.
 
     Parameters
     ----------
     graph : gtsam.NonlinearFactorGraph
     values : gtsam.Values
-        An optimum of the graph: all scores are of the map that these values draw.
+        An optimum of the graph: all scores belong to the map that these values draw.
     radii, edges, min_shared_landmarks, closures
         As in `from_gtsam`.
     beta : float
         As in `assess`.
     progress : callable
-        Told in words what is being done.
+        Called with a few words on each step.
 
     Raises
     ------
     UnsolvableGraphError
         Odometry and closures are so far apart in scale that their information is singular to rounding.
     PgtiError
-        Those of `from_gtsam` and `assess`.
+        As of `from_gtsam` and `assess`.
     """
     progress("adapting")
     pose_graph = from_gtsam(
@@ -98,7 +99,8 @@ def _lacking(pose_graph: PoseGraph, model: DriftModel) -> int:
     """How many landmarks fix two keyframes to each other, where no factor ties any and no two share so many; else 0.
 
     A sighting of a point gives at most as many numbers as the space has dimensions, and a relative pose has three in
-    the plane and six in space: one shared landmark fixes none, and two leave a turn about their line in space.
+    the plane and six in space: a single shared landmark fixes none, and two leave a turn about the line between them in
+    space.
     """
     needed = 2 if model.is_planar else 3
     adapted = pose_graph.adaptation
@@ -115,7 +117,7 @@ def _convergence(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> Con
 
 
 def _findings(closures: OwnClosures) -> tuple[ClosureFinding, ...]:
-    """Records of the closures, least probable first; those that cannot be judged last."""
+    """Records of the closures, least probable first; closures without a verdict last."""
     found = []
     for k in np.argsort(closures.log_odds, kind="stable").tolist():  # NaN last
         missed, turned = float(closures.missed_m[k]), float(np.degrees(closures.missed_rad[k]))

@@ -1,4 +1,4 @@
-"""Stretches of track in contact: of which kind each contact is, by how far the drift allows the two to lie apart."""
+"""Stretches of track in contact: the kind of each contact, by how far the drift allows the two to lie apart."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ Pairs = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Contacts:
-    """A map with its contacts, and what tells them apart.
+    """A map with its contacts, and the evidence on each.
 
     Attributes
     ----------
@@ -90,13 +90,13 @@ class Contacts:
     far : (f, 2) int
         Explained overlaps of keyframes that are far apart on the track.
     loose : (l, 2) int
-        Those of them that no tie near by holds together.
+        The contacts among them that no near tie holds together.
     near_by : Neighbourhoods
-        Of the loose ones.
+        Of the loose contacts.
     labels : list of str
         Names of the keyframes.
     positions : (n, d) float
-        Where the drift model has them, m.
+        Poses of the drift model, m.
     """
 
     pose_graph: PoseGraph
@@ -116,7 +116,12 @@ class Contacts:
 
     @classmethod
     def of(cls, pose_graph: PoseGraph, integrity: Integrity, model: DriftModel, closures: OwnClosures) -> Contacts:
-        """Group the collisions, sample the explained overlaps, and settle the drift model to be asked for both."""
+        """Group the collisions, sample the explained overlaps, and settle the drift model to be asked for both.
+
+        Parameters
+        ----------
+        pose_graph, integrity, model, closures
+        """
         # group the collisions, and the explained overlaps that no tie near by holds
         track, fusion = track_of(pose_graph), integrity.fusion_edges
         places, collisions = places_on(pose_graph, track), revisits(pose_graph, integrity, track)
@@ -154,7 +159,7 @@ class Contacts:
         )
 
     def places(self) -> list[Place]:
-        """All places, gravest kinds first, among equals those that a tie explains most overlaps of."""
+        """All places, gravest kinds first, among equals by the overlaps that a tie explains."""
         found = [self._collision(each) for each in self.collisions]
         found += [*self._untied_passes(), *self._fusion()]
         explained = np.concatenate([self.pose_graph.edges, self.integrity.fusion_edges])
@@ -191,19 +196,19 @@ class Contacts:
         return not (np.linalg.norm(self.positions[i] - self.positions[j], axis=1) <= reach).any()
 
     def _is_elsewhere(self, contact: Revisit) -> bool:
-        """Whether the stretches lie where the map says, and nothing that one sees is in view from the other."""
+        """Whether the stretches lie where the map says, and neither sees landmarks of the other."""
         sightings, pair = self.pose_graph.sightings, contact.closest
         if sightings is None or not self._allowance_m(pair) <= UNTIED * self._reach_m(pair):
             return False
         return without_common_view(sightings, self.pose_graph.positions, contact.resolved)
 
     def _probability(self, contact: Revisit) -> float:
-        """Probability that the two stretches run through the same space; a half where no tie leads between them."""
+        """Probability that the two stretches run through the same space; a half without a tie between."""
         length, drift = self.features(contact)
         return float(expit(CONTACT @ (1.0, np.log(length), np.log(drift)))) if np.isfinite(drift) else 0.5
 
     def features(self, contact: Revisit) -> tuple[float, float]:
-        """What `CONTACT` tells contacts by, ℓ and s; s is infinite where nothing predicts the drift."""
+        """The variables of `CONTACT`, ℓ and s; s is infinite where nothing predicts the drift."""
         allowance, reach = self._allowance_m(contact.closest), self._reach_m(contact.closest)
         if not np.isfinite(allowance) or reach == 0:
             return SHORTEST, np.inf
@@ -235,7 +240,7 @@ class Contacts:
         return found
 
     def _fusion(self) -> list[Place]:
-        """The place where incomplete fusion changes the signatures most, if it does so notably."""
+        """The place where incomplete fusion changes the signatures most, if the change is notable."""
         fusion = self.integrity.fusion
         if fusion.score < NOTABLE_FUSION or not len(self.far):
             return []
@@ -245,7 +250,7 @@ class Contacts:
         return [self._place("incomplete fusion", contact, fusion)]
 
     def _place(self, kind: Kind, contact: Revisit, distortion: Distortion) -> Place:
-        """A place of a kind, but for its gain."""
+        """A place of a kind, without its gain."""
         # its numbers
         members = contact.keyframes
         worst = int(members[np.argmax(distortion.stable_scores[members])])
@@ -271,7 +276,7 @@ class Contacts:
         return replace(place, sentence=sentence, remedy=remedy)
 
     def _blamed(self, contact: Revisit) -> tuple[int, int]:
-        """The false closure whose ends lie nearest to those of the contact on the track."""
+        """The false closure whose ends lie nearest to the contact's ends on the track."""
         false = self.closures.pairs[self.closures.is_false]
         way = self.track.way_m
         first, second = false[np.abs(way[false] - way[list(contact.closest)]).sum(axis=1).argmin()].tolist()
@@ -306,10 +311,11 @@ class Contacts:
 
 
 def _by_later_stretch(passes: list[NDArray[np.int64]], overlaps: Pairs) -> list[list[NDArray[np.int64]]]:
-    """Passes that one tie holds: a pass runs beside several earlier ones, and a tie to one of them holds it to all.
+    """Passes that a common tie holds: a pass runs beside several earlier passes, and a tie to any of the earlier holds
+    all.
 
-    Passes are given and grouped loosest first. One joins a group if at least half of the shorter of the two later
-    stretches is common to both; that earlier passes are tied to each other is what other groups are about.
+    Passes are given and grouped loosest first. A pass joins a group if at least half of the shorter of the two later
+    stretches is common to both; ties between the earlier passes belong to other groups.
     """
     groups: list[list[NDArray[np.int64]]] = []
     ranges: list[tuple[int, int]] = []
@@ -329,7 +335,7 @@ def _by_later_stretch(passes: list[NDArray[np.int64]], overlaps: Pairs) -> list[
 def _tied_near_by(
     overlaps: Pairs, radii: NDArray[np.float64], model: DriftModel, active: NDArray[np.bool_]
 ) -> NDArray[np.bool_]:
-    """Overlaps with a tie between the two stretches so near on both that the drift to it does not matter, (k,).
+    """Overlaps with a tie between the two stretches so near on both that the drift in between does not matter, (k,).
 
     A unit of way along the track is five keyframes or 5 ρ. From a tie at that distance on both stretches a position is
     off by √(0.125² + (5 · 0.075)² + 2 · (0.03² · 5 + 0.03² · 5³ / 3)) = 0.5 ρ, and so by less than spheres that reach
@@ -344,7 +350,7 @@ def _tied_near_by(
 
 
 def _scale(distortion: Distortion, keyframe: int) -> Literal["local", "global"]:
-    """Over which half of the time grid the keyframe's ζ is larger."""
+    """The half of the time grid in which the keyframe's ζ is larger."""
     before, after = (
         each[keyframe : keyframe + 1] for each in (distortion.signatures_pose_graph, distortion.signatures_merged_graph)
     )

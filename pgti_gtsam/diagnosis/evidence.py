@@ -1,4 +1,4 @@
-"""What may be counted as evidence of its own when a map says how well it is held."""
+"""The independent evidence of a map on its own rigidity."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ BESIDE = 1.0
 
 
 def counted_once(pose_graph: PoseGraph) -> PoseGraph:
-    """The same map without what neighbours on the track see in common, but for the steps of the track.
+    """The same map without covisibility of neighbours on the track, but for the steps of the track.
 
-    A point that is followed along the track is seen by ten keyframes and so makes forty-five pairs, all of them by the
+    A point that is followed along the track is seen by ten keyframes and so makes forty-five pairs, all by the
     same few sightings that the odometry was made of, and all with the same error of scale or heading. As forty-five
     measurements they would make the drift a third of what it is. On landmark maps of odometry alone (training seeds
     1000 to 1003 of the ray-cast worlds) one of ten relative positions was off by more than 2.9 of their standard

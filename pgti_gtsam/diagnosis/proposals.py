@@ -19,7 +19,7 @@ def proposal_graph(diagnosis: Diagnosis, values: gtsam.Values) -> tuple[gtsam.No
     ----------
     diagnosis : Diagnosis
     values : gtsam.Values
-        Those that were diagnosed.
+        The values that were diagnosed.
     """
     keyframes, keys = read_keyframes(values), diagnosis.pose_graph.keys.tolist()
     graph, poses = gtsam.NonlinearFactorGraph(), gtsam.Values()

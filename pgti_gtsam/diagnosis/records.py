@@ -1,4 +1,4 @@
-"""What a diagnosis consists of: places, closures, proposals, and the verdict."""
+"""The records of a diagnosis: places, closures, proposals, and the verdict."""
 
 from __future__ import annotations
 
@@ -59,18 +59,18 @@ class Place:
     ----------
     kind : str
     revisit : Revisit
-        Its overlaps and its two stretches of track.
+        Overlaps and two stretches of track.
     score, stable_score : float
         Largest ζ and stable score of the place's keyframes, of the comparison that the place comes from: `fusion` for
         an untied second pass and incomplete fusion, else `collisions`.
     worst : int
         The keyframe with that stable score.
     scale : {"local", "global"}
-        Over which half of the time grid ζ is larger there.
+        The half of the time grid in which ζ is larger there.
     probability : float
         That the two stretches run through the same space.
     allowance_m, reach_m : float
-        Standard deviation of the drift between the two stretches given all ties, and the sum of their radii.
+        Standard deviation of the drift between the two stretches given all ties, and the sum of the radii.
     gain : float
         ln(1 + R), R the effective resistance between the stretches: by so much a tie raises the logarithm of the
         number of spanning trees, and so D-optimality times the number of keyframes.
@@ -110,7 +110,7 @@ class Place:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ClosureFinding:
-    """One of the map's own closures, judged against all the others.
+    """A closure of the map, judged against all the others.
 
     Attributes
     ----------
@@ -119,9 +119,9 @@ class ClosureFinding:
     keyframes : (int, int)
         Indices, the earlier first.
     probability, log_odds : float
-        Of the closure being true; NaN where no other tie leads between its keyframes.
+        Of a true closure; NaN where no other tie leads between the keyframes.
     missed_m, missed_deg : float
-        By how much it misses what the others predict.
+        Difference from the prediction by the others.
     allowed_m : float
         Standard deviation of the prediction.
     is_false : bool
@@ -142,7 +142,7 @@ class ClosureFinding:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Diagnosis:
-    """What `diagnose` found.
+    """The result of `diagnose`.
 
     Attributes
     ----------
@@ -152,9 +152,9 @@ class Diagnosis:
     reason : str
         The verdict in a sentence or two.
     places : tuple of Place
-        Gravest kinds first, among equals those that a tie explains most overlaps of.
+        Gravest kinds first, among equals by the overlaps that a tie explains.
     closures : tuple of ClosureFinding
-        Least probable first; those that cannot be judged last.
+        Least probable first; closures without a verdict last.
     pose_graph : PoseGraph
     integrity : Integrity
     convergence : Convergence or None

@@ -33,18 +33,18 @@ def radius_sweep(
     closures: Collection[int] | None = None,
     progress: Callable[[str], None] = lambda step: None,
 ) -> list[Swept]:
-    """Diagnose a map with its radii scaled by each of `FACTORS`, and its edges chosen as before.
+    """Diagnose a map with its radii scaled by each of `FACTORS`, and edges chosen as before.
 
     Parameters
     ----------
     graph, values
         The map.
     diagnosis : Diagnosis
-        What was found with the radii as they are.
+        The diagnosis with the radii unscaled.
     closures : collection of int, optional
         As in `diagnose`.
     progress : callable
-        Told in words what is being done.
+        Called with a few words on each step.
     """
     pose_graph = diagnosis.pose_graph
     adapted, keys = pose_graph.adaptation, pose_graph.keys.tolist()

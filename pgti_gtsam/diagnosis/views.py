@@ -1,14 +1,14 @@
-"""What two keyframes see in common by their landmarks: spheres know nothing of walls, nor of where a camera looks.
+"""The common view of two keyframes by their landmarks: spheres know nothing of walls, nor of a camera's direction.
 
-A keyframe's own landmarks say where it looks and how far it sees there. A landmark of another keyframe is *in view* if
-one of the own ones lies in about the same direction (else the keyframe looks elsewhere, or nothing is known there) and
-not much nearer (else a surface hides it, or it is out of range). Constants are chosen on the ray-cast storeys and
-campus, seeds 1000 to 1003, cameras of 100° and 50°, intact, with a revisit dropped and on odometry alone, of contacts
-between which the drift is small. Of those that no camera can tie, each pair being parted by a surface or looking more
-than 60° apart, no pair sees more than 0.63 of each other's; of those that a camera can tie the best pair sees 0.77 at
-least. The worse of the two counts: through a floor, one of two can have nine tenths of the other's landmarks in view
-that itself looks elsewhere. Where the drift allows more than the spheres reach the rule is not asked: 5 of 6 contacts
-that drift made have no common view either.
+A keyframe's own landmarks say where the keyframe looks and how far. A landmark of another keyframe is *in view* if
+an own landmark lies in about the same direction (else the keyframe looks elsewhere, or nothing is known there) and
+not much nearer (else a surface hides the landmark, or the landmark is out of range). Constants are chosen on the
+ray-cast storeys and campus, seeds 1000 to 1003, cameras of 100° and 50°, intact, with a revisit dropped and on odometry
+alone, of contacts between which the drift is small. Of contacts that no camera can tie, each pair being parted by a
+surface or looking more than 60° apart, no pair sees more than 0.63 of each other's; of contacts that a camera can tie
+the best pair sees 0.77 at least. The worse of the two counts: through a floor, either keyframe can have nine tenths of
+the other's landmarks in view and itself look elsewhere. Where the drift allows more than the spheres reach the rule is
+not asked: 5 of 6 contacts that drift made have no common view either.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ ASKED = 200
 def without_common_view(sightings: Sightings, positions: NDArray[np.float64], pairs: NDArray[np.int64]) -> bool:
     """Whether no pair of keyframes has a view in common.
 
-    Keyframes that see fewer landmarks than connect two of them tell no field of view, and are not asked.
+    Keyframes that see fewer landmarks than connect two keyframes tell no field of view, and are not asked.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ def _landmarks_of(sightings: Sightings, keyframes: NDArray[np.int64]) -> dict[in
 
 
 def _in_view(centre: NDArray[np.float64], own: NDArray[np.float64], others: NDArray[np.float64]) -> float:
-    """Share of points that a keyframe could see, by those that it does see."""
+    """Share of points that a keyframe could see, judged by the keyframe's own points."""
     (directions, depths), (towards, distances) = _seen_from(centre, own), _seen_from(centre, others)
     chords, nearest = KDTree(directions).query(towards)
     beside = chords <= 2 * np.sin(BESIDE_RAD / 2)

@@ -1,4 +1,4 @@
-"""A diagnosis in sentences: why something is named, and what to do about it."""
+"""A diagnosis in sentences: the reason of each finding, and the remedy."""
 
 from __future__ import annotations
 
@@ -13,7 +13,14 @@ from pgti_gtsam.integrity import Integrity
 
 
 def place_words(place: Place, labels: Sequence[str]) -> tuple[str, str]:
-    """Why a place is named, and what to do."""
+    """The reason why a place is named, and the remedy.
+
+    Parameters
+    ----------
+    place : Place
+    labels : sequence of str
+        Names of the keyframes.
+    """
     earlier, later = (_stretch(ends, labels) for ends in place.keyframes)
     first, second = (labels[k] for k in place.revisit.closest)
     drift = f"drift {metres(place.allowance_m)}, spheres {metres(place.reach_m)}"
@@ -59,7 +66,18 @@ def place_words(place: Place, labels: Sequence[str]) -> tuple[str, str]:
 
 
 def closure_sentence(missed_m: float, missed_deg: float, allowed_m: float, *, is_false: bool, known: bool) -> str:
-    """What the others say of a closure."""
+    """The evidence of the other ties on a closure.
+
+    Parameters
+    ----------
+    missed_m, missed_deg : float
+        Difference from the prediction by the other ties.
+    allowed_m : float
+        Standard deviation of the prediction.
+    is_false : bool
+    known : bool
+        Whether other ties predict the closure.
+    """
     if not known:
         return "No other tie leads between its keyframes: nothing judges it."
     against, remedy = ("contradicts", " Look again at it, or leave it out.") if is_false else ("agrees with", "")
@@ -72,9 +90,15 @@ def closure_sentence(missed_m: float, missed_deg: float, allowed_m: float, *, is
 def verdict(
     integrity: Integrity, places: Sequence[Place], closures: Sequence[ClosureFinding], *, lacking: int = 0
 ) -> tuple[Level, str]:
-    """The verdict, and why. Passes without a common view make no map incomplete: no camera can tie them.
+    """The verdict with its reason. Passes without a common view make no map incomplete: no camera can tie such passes.
 
-    `lacking` is how many landmarks fix two keyframes to each other, where nothing else does and no two share so many.
+    Parameters
+    ----------
+    integrity : Integrity
+    places : sequence of Place
+    closures : sequence of ClosureFinding
+    lacking : int
+        Shared landmarks that fix two keyframes to each other, where nothing else does and no two share so many.
     """
     if not len(integrity.merged_edges):
         return "undecided", "The pose graph has no edge and no two spheres meet: there is nothing to compare."

@@ -1,7 +1,7 @@
-"""Many maps: the same audit of each, on as many workers as there are, and one map against its former self.
+"""Many maps: the same audit of each, on as many workers as exist, and a map against an earlier audit.
 
-Every map has a process of its own, with limits of time and memory, so that one that never ends or cannot be read harms
-no other. Rows are lines of JSON, appended as soon as they are known, and a run goes on where it stopped.
+Every map has a process of its own, with limits of time and memory, so that a map that never ends or cannot be read
+harms no other. Rows are lines of JSON, appended as soon as they are known, and a run goes on where it stopped.
 """
 
 from pgti_gtsam.fleet.comparison import Comparison, compare

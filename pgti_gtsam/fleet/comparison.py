@@ -1,4 +1,4 @@
-"""A map against its former self: what got better or worse between two audits."""
+"""A map against an earlier audit: changes for better or worse between two audits."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ Document = Mapping[str, Any]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Comparison:
-    """What changed from one audit to the next.
+    """The changes from an audit to the next.
 
     Attributes
     ----------
     verdicts : (str, str)
         Before and after.
     scores, collision_scores : (float or str, float or str)
-        Λ, and that of the collisions alone; "infinite" where they are.
+        Λ, and Λ of the collisions alone; "infinite" for infinite scores.
     new_places, gone_places : tuple of documents
-        Places of the later audit between stretches that no place of the same kind of the earlier one lies between, and
+        Places of the later audit between stretches without a place of the same kind in the earlier audit, and
         the reverse.
     closures : tuple of (str, float, float)
         Keyframes of a closure, and its probability before and after, where that moved by more than `FELL`, the largest
@@ -51,7 +51,7 @@ class Comparison:
 
 
 def compare(old: Document, new: Document) -> Comparison:
-    """Two audits of one map; keyframes are known by their labels.
+    """Compare two audits of a map; keyframes are known by their labels.
 
     Parameters
     ----------
@@ -95,7 +95,7 @@ def compare(old: Document, new: Document) -> Comparison:
 
 
 def _only(documents: Sequence[Document], own: Sequence[Any], others: Sequence[Any]) -> tuple[Document, ...]:
-    """Places that none of the others is."""
+    """Places that are not among the others."""
     return tuple(
         document
         for document, place in zip(documents, own, strict=True)
@@ -104,7 +104,7 @@ def _only(documents: Sequence[Document], own: Sequence[Any], others: Sequence[An
 
 
 def _is_same(one: tuple[Any, ...], other: tuple[Any, ...]) -> bool:
-    """Whether two places are of one kind and share keyframes on both stretches."""
+    """Whether two places are of the same kind and share keyframes on both stretches."""
     (kind, first, second), (other_kind, third, fourth) = one, other
     straight, crossed = bool(first & third and second & fourth), bool(first & fourth and second & third)
     return kind == other_kind and (straight or crossed)

@@ -1,4 +1,4 @@
-"""One map of many: audited by the command line in a process of its own, and what a ranking needs to know of it."""
+"""A map of many: audited by the command line in a process of its own, with the numbers for a ranking."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class AuditJob:
     folder : str
         Where JSON and page of the map go.
     limit_s, limit_mb : float
-        Time and memory that its process may take.
+        Time and memory that the process may take.
     """
 
     map: str
@@ -63,7 +63,7 @@ class AuditJob:
 
 
 def audited(job: AuditJob) -> Row:
-    """Run one audit; a row says what was found, or in "failed" why nothing was."""
+    """Run an audit; a row holds the result, or in "failed" the reason of failure."""
     stem = Path(job.folder) / job.key
     document, page = stem.with_name(stem.name + ".json"), stem.with_name(stem.name + ".html")
     command = [sys.executable, "-m", "pgti_gtsam.cli.limited", str(round(job.limit_mb * MEGABYTE)), "audit", job.map]
@@ -94,7 +94,7 @@ def audited(job: AuditJob) -> Row:
 
 
 def summarised(document: Mapping[str, Any]) -> Row:
-    """What a ranking needs of the document of an audit."""
+    """The numbers for a ranking from the document of an audit."""
     closures = [closure for closure in document["closures"] if closure["probability"] is not None]
     places, labels = [place["kind"] for place in document["places"]], document["keyframes"]["label"]
     least = min(closures, key=lambda closure: closure["log_odds"], default=None)
@@ -126,7 +126,7 @@ def limit_memory(n_bytes: int) -> None:
 
 
 def _why(code: int, said: str, limit_mb: float) -> str:
-    """One line of what went wrong."""
+    """A line on the failure."""
     lines = [line.strip() for line in said.splitlines() if line.strip()]
     told = [line.removeprefix("pgti-gtsam: ") for line in lines if line.startswith("pgti-gtsam: ")]
     if told:

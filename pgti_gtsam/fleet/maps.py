@@ -1,4 +1,4 @@
-"""Which maps are meant: files, and what lies in folders."""
+"""The maps that are meant: files, and maps in folders."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pgti_gtsam.errors import InvalidOptionError
 
 
 def maps_in(paths: Iterable[Path]) -> tuple[list[Path], list[Path]]:
-    """Files as they are, and of each folder what a reader takes for a map; each once.
+    """Files unchanged, and from each folder the maps that a reader recognises; each once.
 
     Returns
     -------

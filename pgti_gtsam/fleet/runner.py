@@ -1,4 +1,4 @@
-"""Jobs at scale: each is one row of a file of JSON lines, appended as soon as it is known."""
+"""Jobs at scale: each is a row of a file of JSON lines, appended as soon as known."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ def run(
     progress: Callable[[int, int], None] = lambda done, of: None,
     **options: Any,
 ) -> list[Row]:
-    """Run what the file does not hold yet; all rows, in the order of the jobs.
+    """Run the jobs that the file lacks; all rows, in the order of the jobs.
 
-    A job whose row is there is not run again. A killed worker's jobs are given to another.
+    A job with a row is not run again. A killed worker's jobs are given to another.
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ def run(
         Of the JSON lines.
     wanted : mapping from key to job
     row : callable
-        From a job, and the options, to its row; it is pickled.
+        From a job, and the options, to its row; pickled.
     key_of : callable
         From a row to the key of its job.
     scheduler : str, optional
@@ -67,7 +67,7 @@ def run(
 
 
 def rows(path: Path) -> Iterator[Row]:
-    """Whole rows of a file; a last line that was cut off when the run was killed is cut from it.
+    """Whole rows of a file; a last line that was cut off when the run was killed is removed.
 
     Raises
     ------
@@ -100,7 +100,7 @@ def _computed(
     workers: int,
     options: Mapping[str, Any],
 ) -> Iterator[tuple[str, Row]]:
-    """Rows as they come."""
+    """Rows in order of completion."""
     try:
         import dask
         from dask.distributed import Client, LocalCluster, as_completed

@@ -1,4 +1,4 @@
-"""Out with the wrong closures, in with those that the sensors confirm."""
+"""Wrong closures out, closures in that the sensors confirm."""
 
 from pgti_gtsam.mend.clouds import Clouds, clouds_in, scans_of
 from pgti_gtsam.mend.mending import mend

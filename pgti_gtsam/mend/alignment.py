@@ -1,4 +1,4 @@
-"""The relative pose of two keyframes by what both see: generalised ICP of small_gicp from several starts.
+"""The relative pose of two keyframes by their common view: generalised ICP of small_gicp from several starts.
 
 Generalised ICP: Segal, Haehnel and Thrun, RSS 2009; small_gicp: Koide, JOSS 2024 (doi:10.21105/joss.06948). Lengths
 are in ρ, the map's free radius: a room's scans and a street's clouds are matched alike.
@@ -61,15 +61,15 @@ class Alignment:
     pose : gtsam.Pose2 or gtsam.Pose3
         Of the second keyframe seen from the first.
     stiffness : (d, d) float
-        Mean square by which a motion of the second submap moves a point across the surface that it is matched with, in
+        Mean square by which a motion of the second submap moves a point across the surface of its match, in
         ρ², in the tangent space of the second keyframe in GTSAM's order, with lengths in ρ. Along an axis of the
         translation: the share of surfaces that face the axis.
     matched : float
         Share of the second submap's points that found a counterpart.
     residual_m : float
-        Root mean square distance of those across their surfaces.
+        Root mean square distance of the matches across their surfaces.
     view : CommonView
-        What the two keyframes say of each other there.
+        The common view of the two keyframes at that pose.
     rival : CommonView or None
         The same of the best fit elsewhere.
     """
@@ -84,7 +84,7 @@ class Alignment:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Cloud:
-    """A submap as small_gicp takes it."""
+    """A submap in the form of small_gicp."""
 
     submap: Submap
     points: Any
@@ -93,7 +93,14 @@ class Cloud:
 
     @classmethod
     def of(cls, submap: Submap, unit_m: float) -> Cloud:
-        """Thin out the points of a submap and estimate their surfaces."""
+        """Thin out the points of a submap and estimate their surfaces.
+
+        Parameters
+        ----------
+        submap : Submap
+        unit_m : float
+            The free radius ρ, m.
+        """
         voxel = RESOLUTION * unit_m
         points = submap.points
         if points.shape[1] == 2:
@@ -103,7 +110,7 @@ class Cloud:
 
 
 def align(first: Cloud, second: Cloud, predicted: Any, covariance: Array) -> Alignment | None:
-    """Fit the second submap to the first one.
+    """Fit the second submap to the first.
 
     Parameters
     ----------
@@ -116,7 +123,7 @@ def align(first: Cloud, second: Cloud, predicted: Any, covariance: Array) -> Ali
     Returns
     -------
     Alignment or None
-        The fit whose views agree best; None where no start leads to one.
+        The fit whose views agree best; None where no start leads to a fit.
     """
     if min(len(each) for end in (first, second) for each in (end.submap.view, end.submap.points)) < NEIGHBOURS:
         return None
@@ -130,7 +137,7 @@ def align(first: Cloud, second: Cloud, predicted: Any, covariance: Array) -> Ali
 
 
 def _best(first: Cloud, second: Cloud, tried: Sequence[Any]) -> list[Any]:
-    """The predicted pose, and those others at which the points of the two submaps lie nearest, each by itself."""
+    """The predicted pose, and the poses at which the points of the two submaps lie nearest, each by itself."""
     if len(tried) == 1:
         return list(tried)
     reach = DISTANCES[0] * first.unit_m

@@ -30,9 +30,9 @@ class Clouds:
     Attributes
     ----------
     scans : mapping of key to (n, 2) or (n, 3) float, m
-        Those that are in memory.
+        Clouds in memory.
     files : mapping of key to Path
-        Those that are not.
+        Files of other clouds.
     """
 
     scans: Mapping[int, Points]
@@ -64,11 +64,11 @@ def scans_of(scans: Mapping[int, Any]) -> Clouds:
 
 
 def clouds_in(folder: Path | str, keys: Sequence[int]) -> Clouds:
-    """Clouds of a folder, one PCD or PLY file a keyframe.
+    """Clouds of a folder, a PCD or PLY file per keyframe.
 
-    The last number in a file's name, or in the name of its own folder (hdl_graph_slam's ``000012/cloud.pcd``), is
-    the keyframe's key. Where these numbers are no keys of the map, but as many files as keyframes lie there, the files
-    are those of the keyframes in their order (LIO-SAM and Manual-Loop-Closure-Tools count from 0 or from 1).
+    The last number in a file's name, or in the name of the file's own folder (hdl_graph_slam's ``000012/cloud.pcd``),
+    is the keyframe's key. Where these numbers are no keys of the map, but as many files as keyframes lie there, the
+    files are those of the keyframes in order (LIO-SAM and Manual-Loop-Closure-Tools count from 0 or from 1).
 
     Parameters
     ----------
@@ -79,7 +79,7 @@ def clouds_in(folder: Path | str, keys: Sequence[int]) -> Clouds:
     Raises
     ------
     FileFormatError
-        No such folder, no cloud in it, two clouds of one number, or numbers that fit no keyframe.
+        No such folder, no cloud inside, two clouds of the same number, or numbers that fit no keyframe.
     """
     folder = Path(folder)
     if not folder.is_dir():
@@ -115,7 +115,7 @@ def clouds_in(folder: Path | str, keys: Sequence[int]) -> Clouds:
 
 
 def _number(path: Path, folder: Path) -> int | None:
-    """The last number in a file's own name, or else in that of the folder it lies in."""
+    """The last number in a file's own name, or else in the name of its folder."""
     for name in (path.stem, *(part.name for part in path.relative_to(folder).parents[:-1])):
         found = re.findall(r"\d+", name)
         if found:

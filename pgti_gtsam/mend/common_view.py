@@ -1,7 +1,7 @@
-"""What two views say of each other: which points both see, and which lie where the other saw free space.
+"""The agreement of two views: points that both see, and points in free space of the other.
 
-A beam tells more than where it ends: all the way to there is free. A point that lies in another sensor's free space
-cannot be where the two are said to be, and a point behind what the other sees says nothing. So the agreement of two
+A beam tells more than its end: the whole way to the end is free. A point that lies in another sensor's free space
+contradicts the relative pose, and a point behind a surface of the other says nothing. So the agreement of two
 views is the share of points, of those that the other must see, that the other does see.
 """
 
@@ -31,9 +31,9 @@ class CommonView:
     Attributes
     ----------
     agreement : float
-        Share of points seen by both, of those that both must see; 0 where there is none.
+        Share of points seen by both, of points that both must see; 0 without such points.
     seen : float
-        Points seen by both, in those of the smaller cloud.
+        Points seen by both, in points of the smaller cloud.
     """
 
     agreement: float
@@ -46,11 +46,11 @@ def common_view(views: tuple[Points, Points], points: tuple[Points, Points], tol
     Parameters
     ----------
     views : two (n, d) float, m
-        What either sensor sees, from where the sensor is.
+        Points seen from either sensor, in the sensor's own frame.
     points : two (m, d) float, m
-        What the second submap holds, seen from the first sensor, and the reverse.
+        Points of the second submap, seen from the first sensor, and the reverse.
     tolerance_m : float
-        How far apart points of one surface may lie.
+        How far apart points of the same surface may lie.
     """
     found = [_seen(view, drawn(others, MOST), tolerance_m) for view, others in zip(views, points, strict=True)]
     both, through, asked = (np.array(each) for each in zip(*found, strict=True))
@@ -80,5 +80,12 @@ def _seen(view: Points, points: Points, tolerance_m: float) -> tuple[int, int, i
 
 
 def drawn(points: Points, most: int) -> Points:
-    """At most so many points, evenly."""
+    """At most so many points, evenly.
+
+    Parameters
+    ----------
+    points : Points
+    most : int
+        Points to keep.
+    """
     return np.asarray(points[np.unique(np.linspace(0, len(points) - 1, most).round().astype(int))])

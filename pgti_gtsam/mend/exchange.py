@@ -1,4 +1,4 @@
-"""Ties that leave and come back: what a matcher or a human is asked, and the answers."""
+"""Ties that leave and come back: questions to a matcher or a human, and the answers."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from pgti_gtsam.mend.records import Attempt, Mended
 
 
 def open_ties(mended: Mended) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
-    """What is wanted and was not confirmed, as predicted, with the region to search as covariance."""
+    """The wanted ties without confirmation, as predicted, with the region to search as covariance."""
     graph, poses, keyframes = gtsam.NonlinearFactorGraph(), gtsam.Values(), read_keyframes(mended.values)
     for attempt in mended.attempts:
         if attempt.wanted is None or attempt.outcome == "confirmed":
@@ -34,6 +34,12 @@ def open_ties(mended: Mended) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]
 
 def ties_in(path: Path, dataset: datasets.Dataset) -> list[Any]:
     """The between factors of a file of ties, on the keys of the map.
+
+    Parameters
+    ----------
+    path : Path
+    dataset : datasets.Dataset
+        The map.
 
     Raises
     ------
@@ -60,7 +66,15 @@ def ties_in(path: Path, dataset: datasets.Dataset) -> list[Any]:
 def g2o_lines(
     attempts: Sequence[Attempt], values: gtsam.Values, names: Mapping[int, str] | None
 ) -> tuple[list[str], list[str | None]]:
-    """Lines of the vertices of all attempts and of each one's edge, None where nothing was measured."""
+    """Lines of the vertices of all attempts and of each one's edge, None where nothing was measured.
+
+    Parameters
+    ----------
+    attempts : sequence of Attempt
+    values : gtsam.Values
+    names : mapping, optional
+        Names of keys in the map's file; None where names are the keys.
+    """
     graph, poses = gtsam.NonlinearFactorGraph(), gtsam.Values()
     keyframes = read_keyframes(values)
     for attempt in attempts:

@@ -1,9 +1,9 @@
 """Mend a map: out with the closures that the gate rejects, in with the ties that the sensors and the gate confirm.
 
-1. The map's own closures go through the gate; those that do not pass are out.
-2. The audit names the places that are untied, and the drift model says how far the drift lets them be.
-3. Each is matched by what its keyframes saw, within that region.
-4. What the sensors confirm goes through the gate like any other closure; what passes is in, and the map is optimised.
+1. The map's own closures go through the gate; closures that do not pass are out.
+2. The audit names the untied places, and the drift model says how large the drift may be there.
+3. Each place is matched by the scans of its keyframes, within that region.
+4. Confirmed ties go through the gate like any other closure; ties that pass are in, and the map is optimised.
 5. The better map predicts better: 2 to 4 again, until nothing is left to try.
 """
 
@@ -69,21 +69,21 @@ def mend(
     values : gtsam.Values
         An estimate.
     clouds : Clouds, optional
-        What the keyframes saw: `scans_of` or `clouds_in`. Without, ties are only proposed.
+        The scans of the keyframes: `scans_of` or `clouds_in`. Without, ties are only proposed.
     radii : float or mapping of key to float, m, optional
         As in `from_gtsam`.
     closures : collection of int, optional
         Slots of the loop closures; without, those that `track` finds.
     matched : sequence of between factors
-        Ties of a matcher, or of a human, which only the gate judges. They keep their noise models.
+        Ties of a matcher, or of a human, which only the gate judges. The ties keep their noise models.
     gate : LoopClosureGate, optional
     progress : callable
-        Told in words what is being done.
+        Called with a few words on each step.
 
     Raises
     ------
     PgtiError
-        Those of `gate_graph` and `diagnose`; `MissingDependencyError` where clouds are to be matched without
+        As of `gate_graph` and `diagnose`; `MissingDependencyError` where clouds are to be matched without
         small_gicp; `InvalidClosureError` for a tie between keys that the map does not have.
     """
     # the map as it came
@@ -155,7 +155,7 @@ class _Mending:
         return known.outcome == "confirmed" or known.wanted is None or allowance_m > SMALLER * known.wanted.allowance_m
 
     def _matched(self, wanted: Wanted, submaps: Submaps, sigmas: float, said: str) -> Attempt:
-        """A tie tried by what its keyframes saw."""
+        """A tie tried by the scans of its keyframes."""
         self.progress(said)
         unseen = [key for key in wanted.keys if key not in submaps.clouds]
         if unseen:
@@ -180,7 +180,7 @@ class _Mending:
         )
 
     def offer(self, found: Sequence[Attempt], reference: ReferenceMap | None = None) -> None:
-        """Let the gate judge ties, take in what passes, and optimise."""
+        """Let the gate judge ties, tie those that pass, and optimise."""
         offered = [attempt for attempt in found if attempt.outcome == "confirmed"]
         self.attempts |= {attempt.keys: attempt for attempt in found}
         if not offered:
@@ -201,7 +201,7 @@ class _Mending:
         self.graph, self.values = grown, optimum(grown, self.values, judged.settled, reference.pose_graph)
 
     def audited(self) -> Diagnosis:
-        """The audit of the mended map, without ties that the others put elsewhere after all."""
+        """The audit of the mended map, without ties that the others contradict after all."""
         self.progress("auditing the mended map")
         diagnosis = self._diagnosis()
         for _ in range(MOST_CHECKS):
@@ -240,7 +240,7 @@ class _Mending:
 
 
 def _is_missing(closure: ClosureFinding, unit_m: float) -> bool:
-    """Whether a tie lies where the others do not put its keyframe."""
+    """Whether the other ties contradict a tie."""
     expected = np.hypot(closure.allowed_m, OFFSET * unit_m)
     return closure.is_false or bool(closure.missed_m > MISSES * expected)
 
@@ -280,7 +280,7 @@ def _answer(factor: Any, values: gtsam.Values) -> Attempt:
 
 
 def _decided(attempt: Attempt, decision: ClosureDecision) -> Attempt:
-    """An attempt with the gate's verdict; what the gate leaves undecided is not tied."""
+    """An attempt with the gate's verdict; undecided ties are not tied."""
     reason = " ".join([attempt.reason, *decision.reasons[:1]]).strip()
     if decision.accepted:
         return replace(attempt, decision=decision, outcome="confirmed", reason=reason)

@@ -1,4 +1,4 @@
-"""What mending a map consists of: closures taken out, ties tried, and the map before and after."""
+"""The records of mending: closures taken out, ties tried, and the map before and after."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ class Wanted:
         Indices i < j.
     keys : (int, int)
     place : str or None
-        Kind of the audit's place that it belongs to; None where the map is tied there, but loosely.
+        Kind of the audit's place; None where the map is tied there, but loosely.
     pose : gtsam.Pose2 or gtsam.Pose3
         Predicted pose of j seen from i.
     covariance : (d, d) float
         Of the prediction, in the tangent space of j in GTSAM's order: the region to search.
     allowance_m : float
-        Standard deviation of the predicted position along its least certain axis.
+        Standard deviation of the predicted position along the least certain axis.
     """
 
     keyframes: tuple[int, int]
@@ -55,19 +55,19 @@ class Attempt:
         None of a tie that came with the answers of a matcher.
     keys : (int, int)
     pose : gtsam.Pose2 or gtsam.Pose3 or None
-        What was measured, of the second key seen from the first; None where nothing was.
+        The measured pose of the second key seen from the first; None without a measurement.
     factor : gtsam.BetweenFactorPose2 or gtsam.BetweenFactorPose3 or None
-        The tie, with its noise; None where nothing was measured.
+        The tie, with its noise; None without a measurement.
     alignment : Alignment or None
     submaps : (Submap, Submap) or None
-        What was aligned.
+        The alignment.
     decision : ClosureDecision or None
-        The gate's, of those that the sensors confirm.
+        The gate's decision on ties that the sensors confirm.
     outcome : {"confirmed", "refused", "undecided"}
     reason : str
         A sentence.
     round : int
-        In which round, from 1; 0 of a matcher's answers.
+        The round, from 1; 0 of a matcher's answers.
     """
 
     wanted: Wanted | None
@@ -89,15 +89,15 @@ class Mended:
     Attributes
     ----------
     graph : gtsam.NonlinearFactorGraph
-        The factors in their slots, those of closures that are out empty, then the ties that are in.
+        The factors in their slots, empty for closures that are out, then the ties that are in.
     values : gtsam.Values
-        Its optimum.
+        The optimum.
     out : mapping of slot to ClosureDecision
         Closures of the map that did not pass the gate.
     attempts : tuple of Attempt
         The last attempt at each tie.
     before, after : Diagnosis
-        Of the map at its optimum as it came, and of the mended one.
+        Of the map before mending, at its optimum, and of the mended map.
     before_values : gtsam.Values
     n_rounds : int
     """

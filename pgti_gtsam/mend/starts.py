@@ -27,7 +27,7 @@ def starts(predicted: Any, covariance: Array, unit_m: float) -> list[Any]:
     ----------
     predicted : gtsam.Pose2 or gtsam.Pose3
     covariance : (d, d) float
-        In its tangent space, in GTSAM's order.
+        In the tangent space, in GTSAM's order.
     unit_m : float
         ρ.
     """

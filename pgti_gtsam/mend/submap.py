@@ -1,4 +1,4 @@
-"""Submaps: what a few neighbouring keyframes saw, seen from the one in the middle."""
+"""Submaps: the points of a few neighbouring keyframes in the frame of the middle keyframe."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ ENOUGH = 5_000
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Submap:
-    """Points about a keyframe, in its frame.
+    """Points about a keyframe, in the keyframe's frame.
 
     Attributes
     ----------
     view : (n, 2) or (n, 3) float, m
-        What the keyframe itself sees.
+        Points that the keyframe itself sees.
     points : (m, 2) or (m, 3) float, m
-        What it and its neighbours see.
+        Points of the keyframe and its neighbours.
     """
 
     view: Points
@@ -83,7 +83,13 @@ class Submaps:
 
 
 def moved(points: Points, pose: Any) -> Points:
-    """Points seen from where `pose` is, as its own frame has them: in the plane for points of one, else in space."""
+    """Points in the frame of `pose`, moved to the frame around it: in the plane for planar points, else in space.
+
+    Parameters
+    ----------
+    points : (n, 2) or (n, 3) float
+    pose : gtsam.Pose2 or gtsam.Pose3
+    """
     if points.shape[1] == 2:
         planar = pose if isinstance(pose, gtsam.Pose2) else gtsam.Pose2(pose.x(), pose.y(), pose.rotation().yaw())
         matrix = planar.matrix()

@@ -1,4 +1,4 @@
-"""Ties that a map lacks: where its places are untied, and where overlaps are tied so loosely that a match says more."""
+"""Ties that a map lacks: at untied places, and at overlaps tied so loosely that a match says more."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ Pairs = NDArray[np.int64]
 def wanted_ties(
     diagnosis: Diagnosis, reference: ReferenceMap, is_known: Callable[[tuple[int, int], float], bool]
 ) -> list[Wanted]:
-    """Ties that a map lacks, those of the audit's places first, among equals the surest predictions first.
+    """Ties that a map lacks, at the audit's places first, among equals the surest predictions first.
 
     Parameters
     ----------
@@ -79,7 +79,7 @@ def _proposed(diagnosis: Diagnosis) -> list[Pairs]:
 
 
 def _kinds(diagnosis: Diagnosis) -> dict[tuple[int, int], Kind]:
-    """The place that an overlap is part of, by its keyframes; graver ones go before."""
+    """The place of an overlap, by its keyframes; graver places go before."""
     found: dict[tuple[int, int], Kind] = {}
     for place in diagnosis.places:
         if place.kind != "incomplete fusion":
@@ -89,7 +89,7 @@ def _kinds(diagnosis: Diagnosis) -> dict[tuple[int, int], Kind]:
 
 
 def _spaced(ends: NDArray[np.float64]) -> set[int]:
-    """Pairs, given best first by their places on the track, that lie apart from all better ones."""
+    """Pairs, given best first by their places on the track, apart from all better pairs."""
     kept: list[int] = []
     for k, pair in enumerate(ends):
         if not kept or (np.abs(ends[kept] - pair).max(axis=1) > SPACED).all():

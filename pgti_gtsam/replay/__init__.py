@@ -42,7 +42,7 @@ class Replay:
     moments: tuple[Moment, ...]
 
     def curve(self, name: str) -> NDArray[np.float64]:
-        """One field of all moments, (n_moments,): a name of `METRICS`, or a count such as "n_collisions"."""
+        """A field of all moments, (n_moments,): a name of `METRICS`, or a count such as "n_collisions"."""
         return np.array([getattr(moment, name) for moment in self.moments], dtype=float)
 
     @property
@@ -51,7 +51,7 @@ class Replay:
         return self.curve("n_new") > 0
 
     def lags(self) -> dict[str, Lag]:
-        """By the name of each metric, how soon its changes answer to inserted edges: see `lag`."""
+        """By the name of each metric, how soon the metric's changes answer to inserted edges: see `lag`."""
         return {name: lag(self.curve(name), self.insertion_signal) for name in METRICS}
 
 
@@ -70,24 +70,24 @@ def replay(
 ) -> Replay:
     """Measure a map while its graph grows, in the order of the keys (section 6.2, Fig. 4 and 5 of the paper).
 
-    A finished map is grown with its final estimate: at each moment what `assess` finds on the graph of the first
-    keyframes, with all their edges and radii. A pipeline's own record is replayed with the graph and the estimate that
-    it had at each moment.
+    A finished map is grown with the final estimate: at each moment `assess` runs on the graph of the first
+    keyframes, with all their edges and radii. A pipeline's own record is replayed with the graph and the estimate of
+    each moment.
 
     Parameters
     ----------
     graph : gtsam.NonlinearFactorGraph, Record, or sequence of (graph, values)
-        A map; or a record, one map a moment.
+        A map; or a record, a map a moment.
     values : gtsam.Values, optional
         The estimate of a map; a record has its own.
     radii, edges, min_shared_landmarks, closures
-        As `from_gtsam` takes them. Of radii by key a moment has those of its keyframes; a `Record` brings its own.
+        As for `from_gtsam`. Of radii by key a moment has those of its keyframes; a `Record` brings its own.
     every : int
-        Keyframes between two moments; the last moment is the whole graph. A record has the moments that it has.
+        Keyframes between two moments; the last moment is the whole graph. A record has moments of its own.
     measure : Measure, optional
         The options of `assess`: β, number of times, norm, method.
     path : Path or str, optional
-        A file of JSON lines that every moment is added to. Moments that it holds are not computed again.
+        A file of JSON lines to which every moment is added. Moments in the file are not computed again.
     progress : callable, optional
         Called after every moment with how many are done, and of how many.
 
@@ -98,11 +98,11 @@ def replay(
     Raises
     ------
     InvalidOptionError, InvalidGraphError
-        `every` below one; a record without a moment, or of other things than pairs of graph and values.
+        `every` below 1; a record without a moment, or of other things than pairs of graph and values.
     FileFormatError
         The file at `path` is no replay of this map.
     PgtiError
-        Those of `from_gtsam`.
+        As of `from_gtsam`.
     """
     whole(every, "every", least=1)
     if not isinstance(measure, Measure | None) or not isinstance(path, str | Path | None):
@@ -129,7 +129,14 @@ def replay_graph(
     measure: Measure | None = None,
     progress: Progress | None = None,
 ) -> Replay:
-    """Replay a pose graph that was adapted before; parameters are those of `replay`."""
+    """Replay a pose graph that was adapted before.
+
+    Parameters
+    ----------
+    pose_graph : PoseGraph
+    every, measure, progress
+        As for `replay`.
+    """
     return _grown(pose_graph, every, measure or Measure(), None, progress)
 
 
@@ -147,7 +154,7 @@ def _replayed(
     path: Path | None,
     progress: Progress | None,
 ) -> Replay:
-    """Replay a record. One moment is adapted at a time: all of them would be the map many times over."""
+    """Replay a record. A single moment is adapted at a time: all moments together would be the map many times over."""
 
     def adapted(number: int) -> PoseGraph:
         try:
@@ -169,7 +176,7 @@ def _moments(
     path: Path | None,
     progress: Progress | None,
 ) -> tuple[Moment, ...]:
-    """Measure the stages that the file does not hold, and add these to the file."""
+    """Measure the stages that the file does not hold, and add the results to the file."""
     moments = known_moments(path, first)
     n_known = len(moments)
     with appended(path, first) as add:

@@ -1,4 +1,4 @@
-"""A pose graph grown along its keyframes: at each size its edges, its overlaps, and which of these are explained."""
+"""A pose graph grown along its keyframes: at each size the edges, the overlaps, and the explained overlaps."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Stage:
     n_new : int
         Inserted edges that the stage before did not have.
     positions : (n_keyframes, 3) float, m
-        Where the estimate of this stage puts the keyframes.
+        Positions of the keyframes in the estimate of this stage.
     """
 
     n_keyframes: int
@@ -43,16 +43,25 @@ class Stage:
 
 
 def sizes(n: int, every: int) -> list[int]:
-    """Numbers of keyframes at which the growing graph is looked at: every so many, and all of them."""
+    """Numbers of keyframes at which the growing graph is measured: every so many, and all.
+
+    Parameters
+    ----------
+    n : int
+        Keyframes of the whole graph.
+    every : int
+        Keyframes between two stages.
+    """
     return sorted({*range(every, n, every), n})
 
 
 def grown(pose_graph: PoseGraph, wanted: Sequence[int]) -> Iterator[Stage]:
     """The graph induced by the first keyframes, in the order of their keys, with the final estimate.
 
-    Overlaps are found once; those of a stage are the ones whose later keyframe has come. The explained ones only grow
-    with the graph, so that each stage starts from what the stage before explained. What may follow now follows from an
-    edge at a new keyframe, or at the odometry neighbour of one, where a rung begins: only these are walked.
+    Overlaps are found once; a stage has the overlaps whose later keyframe has come. The explained overlaps only grow
+    with the graph, so that each stage starts from the explained overlaps of the stage before. New explanations follow
+    from an edge at a new keyframe, or at the odometry neighbour of a new keyframe, where a rung begins: only these
+    edges are walked.
 
     Parameters
     ----------
@@ -86,7 +95,7 @@ def grown(pose_graph: PoseGraph, wanted: Sequence[int]) -> Iterator[Stage]:
 
 
 def recorded(pose_graphs: Iterable[PoseGraph]) -> Iterator[Stage]:
-    """The stages of a pipeline's own record: each graph as it was estimated then.
+    """The stages of a pipeline's own record: each graph with the estimate of its time.
 
     An inserted edge is new where no earlier graph had it, whatever became of it in between.
     """

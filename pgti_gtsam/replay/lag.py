@@ -18,7 +18,7 @@ class Lag:
     Attributes
     ----------
     lag : int
-        Moments by which the metric follows the signal where they agree best; the shortest of equals. Negative: the
+        Moments by which the metric follows the signal at the best agreement; the shortest of equals. Negative: the
         metric comes first.
     correlation, at_zero : float
         Normalised cross-correlation there, and without any lag; NaN where metric or signal never changes.
@@ -33,7 +33,7 @@ def lag(metric: NDArray[np.float64], signal: NDArray[np.bool_], farthest: int = 
     """Cross-correlate |metric(k) − metric(k − 1)| with the signal.
 
     The paper does not say how its curves enter. The signal marks events, so that changes of the metric are what can
-    answer to them: the level of a metric that has risen and stays would correlate with whatever comes later.
+    answer to events: the level of a metric that has risen and stays would correlate with whatever comes later.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""A replay as JSON lines: what was replayed first, then a line a moment, so that a stopped run goes on."""
+"""A replay as JSON lines: the replayed graph first, then a line a moment, so that a stopped run goes on."""
 
 from __future__ import annotations
 
@@ -25,7 +25,15 @@ _ARRAYS = ("keyframe_scores", "positions")
 
 
 def heading(pose_graphs: Iterable[PoseGraph], sizes: Sequence[int], measure: Measure) -> dict[str, Any]:
-    """The first line: the format, how the graph is measured, and a digest of the graphs and of the moments' sizes."""
+    """The first line: the format, how the graph is measured, and a digest of the graphs and of the moments' sizes.
+
+    Parameters
+    ----------
+    pose_graphs : iterable of PoseGraph
+    sizes : sequence of int
+        Keyframes at each moment.
+    measure : Measure
+    """
     digest = hashlib.sha256(np.array(sizes, dtype=np.int64).tobytes())
     for each in pose_graphs:
         for array in (each.keys, each.positions, each.radii, each.edges, each.edge_sources):
@@ -40,9 +48,15 @@ def heading(pose_graphs: Iterable[PoseGraph], sizes: Sequence[int], measure: Mea
 
 
 def known_moments(path: Path | None, first: Mapping[str, Any]) -> list[Moment]:
-    """Moments that a file holds, from the first on; none where there is no file.
+    """Moments that a file holds, from the first on; empty without a file.
 
     A last line that was cut off when the run was stopped is cut from the file.
+
+    Parameters
+    ----------
+    path : Path, optional
+    first : mapping
+        The first line, as `heading` makes it.
 
     Raises
     ------
@@ -71,7 +85,14 @@ def known_moments(path: Path | None, first: Mapping[str, Any]) -> list[Moment]:
 
 @contextmanager
 def appended(path: Path | None, first: Mapping[str, Any]) -> Iterator[Callable[[Moment], None]]:
-    """A function that adds a moment to the file, which begins with the first line; without a file it does nothing."""
+    """A function that adds a moment to the file, which begins with the first line; without a file nothing is done.
+
+    Parameters
+    ----------
+    path : Path, optional
+    first : mapping
+        The first line, as `heading` makes it.
+    """
     if path is None:
         yield lambda moment: None
         return

@@ -1,4 +1,4 @@
-"""All metrics of section 6.2 at one size of a growing graph."""
+"""All metrics of section 6.2 at a size of a growing graph."""
 
 from __future__ import annotations
 
@@ -55,9 +55,9 @@ class Moment:
     d, t, e, e_tilde : float
         ΔD, ΔT, ΔE and ΔẼ: absolute change of each optimality criterion from G_p to G_m.
     n_edges, n_inserted, n_collisions : int
-        Edges of G_p, inserted edges, and those of them that nothing explains.
+        Edges of G_p, inserted edges, and inserted edges that nothing explains.
     n_new : int
-        Inserted edges that came since the moment before; the paper's edge-insertion signal is whether there are any.
+        Inserted edges since the moment before; the paper's edge-insertion signal is whether there are any.
     worst : int
         Index of the keyframe with the largest ζ.
     keyframe_scores : (n_keyframes,) float32
@@ -89,7 +89,13 @@ class Moment:
 
 
 def measured(stage: Stage, measure: Measure) -> Moment:
-    """Measure one stage; where no edge is inserted both graphs are the same, and every change is zero."""
+    """Measure a stage; where no edge is inserted both graphs are the same, and every change is zero.
+
+    Parameters
+    ----------
+    stage : Stage
+    measure : Measure
+    """
     scores, metrics = _metrics(stage, measure) if len(stage.inserted_edges) else (np.zeros(stage.n_keyframes), _NOTHING)
     return Moment(
         n_keyframes=stage.n_keyframes,

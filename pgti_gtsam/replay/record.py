@@ -1,4 +1,4 @@
-"""What a running pipeline had at each moment: its graph, its estimate, its radii."""
+"""The state of a running pipeline at each moment: graph, estimate, radii."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ class Record(Sequence[Map]):
     moments : list of (gtsam.NonlinearFactorGraph, gtsam.Values)
         A graph shares its factors with the smoother's, so that a moment costs a pointer a factor and the estimate.
     radii : float or mapping from key to float, m, optional
-        As a `GatedISAM2` had them at the last moment; without, landmark factors say.
+        As of a `GatedISAM2` at the last moment; without, landmark factors say.
     """
 
     moments: list[Map] = field(default_factory=list)
     radii: Radii | None = None
 
     def note(self, smoother: Any) -> None:
-        """Add what a smoother holds now.
+        """Add the present state of a smoother.
 
         Parameters
         ----------
@@ -64,12 +64,12 @@ class Record(Sequence[Map]):
 
 
 def checked_moments(moments: Sequence[Any]) -> None:
-    """Refuse what is no record.
+    """Refuse anything but a record.
 
     Raises
     ------
     InvalidOptionError, InvalidGraphError
-        No moment; one that is no pair of a graph and values.
+        No moment; a moment that is no pair of a graph and values.
     """
     if not len(moments):
         raise InvalidOptionError("expected a record of one moment or more, got none")
@@ -80,7 +80,14 @@ def checked_moments(moments: Sequence[Any]) -> None:
 
 
 def radii_then(radii: Radii | None, values: Any) -> Radii | None:
-    """Of the radii those of keyframes that had come."""
+    """The radii of keyframes that had come.
+
+    Parameters
+    ----------
+    radii : Radii, optional
+    values : object
+        Of the moment.
+    """
     if not isinstance(radii, Mapping):
         return radii
     return {key: radius for key, radius in radii.items() if values.exists(key)}
