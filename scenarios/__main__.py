@@ -1,4 +1,4 @@
-"""`python -m scenarios NAME`: run one experiment; `python -m scenarios list` says what each shows."""
+"""`python -m scenarios NAME`: run an experiment; `python -m scenarios list` says what each shows."""
 
 from __future__ import annotations
 

@@ -31,7 +31,7 @@ TRUE_ACCEPTED, FALSE_ACCEPTED = 0.98, 0.02
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Row:
-    """What the gate made of one file, or of all files of a sequence.
+    """The gate's answer on a file, or on all files of a sequence.
 
     `ate_m` is the absolute trajectory error against the ground truth after rigid alignment, `ate_only_true_m` that of
     the optimum with the true closures alone; None without ground truth.
@@ -48,7 +48,7 @@ class Row:
 
     @property
     def rates(self) -> dict[str, float]:
-        """Shares accepted; where there is none to accept, what a faultless gate would have."""
+        """Shares accepted; without closures to accept, the shares of a faultless gate."""
         return {
             "true_accepted_rate": self.true_accepted / self.true if self.true else 1.0,
             "false_accepted_rate": self.false_accepted / self.false if self.false else 0.0,
@@ -72,6 +72,18 @@ def run(
     """Gate every labelled file of the sequences; counts and rates by sequence, its files below.
 
     In time order the counts are those after a last review.
+
+    Parameters
+    ----------
+    data : Path
+        Folder of the sequences.
+    sequences : sequence of str
+    alphas : sequence of str
+        Detector thresholds, as in the files' names.
+    tell : callable
+        Called with a line of progress.
+    in_time_order : bool
+        Whether closures are gated as they come.
     """
     found = {}
     for sequence in sequences:
@@ -101,10 +113,18 @@ _COUNTS = ("true", "true_accepted", "false", "false_accepted", "seconds")
 def files(data: Path, sequence: str, alphas: Sequence[str]) -> list[Path]:
     """Labelled files of a sequence, in the folder of the dataset or of all data.
 
+    Parameters
+    ----------
+    data : Path
+        Folder of the sequences.
+    sequence : str
+    alphas : sequence of str
+        Detector thresholds, as in the files' names.
+
     Raises
     ------
     InvalidOptionError
-        There is none.
+        No file fits.
     """
     folders = [data / sequence, data / "kitti_robustslam" / sequence, data]
     pattern = re.compile(rf"kitti_{re.escape(sequence)}_alpha_(\d+\.?\d*)\.g2o(\.gz|\.bz2)?$")
@@ -126,7 +146,7 @@ def files(data: Path, sequence: str, alphas: Sequence[str]) -> list[Path]:
 
 
 def gated(path: Path) -> Row:
-    """Gate one file with its labels."""
+    """Gate a file with its labels."""
     dataset = _read(path)
     closures = datasets.closure_slots(dataset)
     started = time.process_time()
@@ -136,7 +156,7 @@ def gated(path: Path) -> Row:
 
 
 def driven(path: Path) -> tuple[Row, Row]:
-    """Gate one file in time order, by a gated smoother: what stands at the end, and what a last review leaves."""
+    """Gate a file in time order, by a gated smoother: the verdicts at the end, and after a last review."""
     # what every keyframe brings
     dataset = _read(path)
     closures, brought = set(datasets.closure_slots(dataset)), defaultdict(list)
@@ -170,7 +190,7 @@ def driven(path: Path) -> tuple[Row, Row]:
 
 
 def _predicted(smoother: pgti.GatedISAM2, odometry: list[Any], values: gtsam.Values, key: int) -> gtsam.Pose2:
-    """Pose of a keyframe by its step from the one before; that of the file for the first."""
+    """Pose of a keyframe by the step from the keyframe before; the file's pose for the first."""
     for factor in odometry:
         before = min(keys_of(factor))
         return smoother.calculateEstimatePose2(before).compose(measured_from(factor, before))
@@ -178,7 +198,7 @@ def _predicted(smoother: pgti.GatedISAM2, odometry: list[Any], values: gtsam.Val
 
 
 def _read(path: Path) -> Dataset:
-    """Every fifth frame, or all where some loops lie between these."""
+    """Every fifth frame, or all frames where some loops lie between."""
     dataset = datasets.read(path)
     kept = datasets.subsample(dataset, EVERY)
     return kept if len(datasets.closure_slots(kept)) == len(datasets.closure_slots(dataset)) else dataset

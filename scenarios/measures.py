@@ -1,4 +1,4 @@
-"""What a method's answer is worth: shares of closures, and the trajectory's errors by evo."""
+"""The worth of a method's answer: shares of closures, and the trajectory's errors by evo."""
 
 from __future__ import annotations
 
@@ -22,7 +22,13 @@ RECALLS = np.linspace(0.1, 1.0, 10)
 
 
 def trajectory_errors(truth: Sequence[Pose], estimate: Sequence[Pose]) -> dict[str, float]:
-    """Root mean square of the absolute error after rigid alignment, and of the relative one, both in m."""
+    """Root mean square of the absolute error after rigid alignment, and of the relative error, both in m.
+
+    Parameters
+    ----------
+    truth : sequence of Pose
+    estimate : sequence of Pose
+    """
     wanted, found = (
         trajectory.PosePath3D(poses_se3=[space(pose).matrix() for pose in poses]) for poses in (truth, estimate)
     )
@@ -36,14 +42,26 @@ def trajectory_errors(truth: Sequence[Pose], estimate: Sequence[Pose]) -> dict[s
 
 
 def f1(true: NDArray[np.bool_], accepted: NDArray[np.bool_]) -> float:
-    """Harmonic mean of precision and recall of accepted true closures; 1 where there are none and none was accepted."""
+    """Harmonic mean of precision and recall of accepted true closures; 1 where none is true and none was accepted.
+
+    Parameters
+    ----------
+    true : (k,) bool
+    accepted : (k,) bool
+    """
     wrong = int((true != accepted).sum())
     right = int((true & accepted).sum())
     return 1.0 if not right and not wrong else 2 * right / (2 * right + wrong)
 
 
 def area_under_curve(true: NDArray[np.bool_], confidence: NDArray[np.float64]) -> float | None:
-    """Chance that a true closure is believed more than a false one (receiver operating characteristic)."""
+    """Probability that a true closure gets more confidence than a false closure (receiver operating characteristic).
+
+    Parameters
+    ----------
+    true : (k,) bool
+    confidence : (k,) float
+    """
     if not true.any() or true.all():
         return None
     wins = stats.mannwhitneyu(confidence[true], confidence[~true]).statistic
@@ -51,7 +69,13 @@ def area_under_curve(true: NDArray[np.bool_], confidence: NDArray[np.float64]) -
 
 
 def precisions(true: NDArray[np.bool_], confidence: NDArray[np.float64]) -> list[float]:
-    """Best precision at which each of `RECALLS` can be had by believing the most trusted closures, ties together."""
+    """Best precision at each of `RECALLS` by accepting the most trusted closures, ties together.
+
+    Parameters
+    ----------
+    true : (k,) bool
+    confidence : (k,) float
+    """
     if not len(true):
         return [0.0] * len(RECALLS)
     order = np.argsort(-confidence, kind="stable")

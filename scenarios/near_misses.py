@@ -1,8 +1,8 @@
-"""Real false closures that nearly match: Bicocca with the loops of a bag-of-words detector, by how much they miss.
+"""Real false closures that nearly match: Bicocca with the loops of a bag-of-words detector, by the size of the error.
 
-A loop of the Rawseeds run 2009-02-25b is labelled true within 1 m and 0.35 rad of the truth. A false one may so miss by
-little more: which miss does the gate tell, at which radius, and does the caller's noise model change that? The last
-it should not; what it does change is the optimum of what was accepted.
+A loop of the Rawseeds run 2009-02-25b is labelled true within 1 m and 0.35 rad of the truth. A false loop may so err by
+little more: which errors does the gate tell, at which radius, and does the caller's noise model change that? The noise
+model should not; only the optimum of the accepted closures changes with the noise model.
 """
 
 from __future__ import annotations
@@ -61,7 +61,15 @@ class Loops:
 
 
 def run(data: Path, tell: Callable[[str], None]) -> list[dict[str, Any]]:
-    """A row for every radius and every noise model of the closures."""
+    """A row for every radius and every noise model of the closures.
+
+    Parameters
+    ----------
+    data : Path
+        Folder of the Bicocca graphs.
+    tell : callable
+        Called with a line of progress.
+    """
     found, rows = loops(data), []
     for radius, information in product(RADII_M, INFORMATION):
         rows.append(gated(found, radius, information))
@@ -80,7 +88,7 @@ def loops(data: Path) -> Loops:
     Raises
     ------
     InvalidOptionError
-        It is not there.
+        The file is not there.
     """
     folder = next((each for each in (data, data / "bicocca") if (each / GRAPH).is_file()), None)
     if folder is None:
@@ -103,7 +111,16 @@ def loops(data: Path) -> Loops:
 
 
 def gated(given: Loops, radius_m: float, information: float) -> dict[str, Any]:
-    """What the gate makes of all loops, told so much information of each."""
+    """The gate's answer to all loops with a given information.
+
+    Parameters
+    ----------
+    given : Loops
+    radius_m : float
+        Free radius, m.
+    information : float
+        Of each closure.
+    """
     graph = gtsam.NonlinearFactorGraph(given.graph)
     for slot in given.slots.tolist():
         factor = graph.at(slot)
@@ -133,7 +150,7 @@ def _ate_m(given: Loops, values: gtsam.Values) -> float:
 
 
 def report(rows: Sequence[dict[str, Any]]) -> Iterator[str]:
-    """False closures accepted by what they miss by, and the trajectory's error."""
+    """False closures accepted by their error, and the trajectory's error."""
     sizes = [f"{low:g} to {high:g} m" for low, high in pairwise(SIZES_M)]
     yield "| radius | information | true | false | " + " | ".join(sizes) + " | error | of only true ones |"
     yield "|---|" + "---|" * (len(sizes) + 5)

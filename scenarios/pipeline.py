@@ -1,8 +1,8 @@
-"""A running pipeline: what the gate costs in front of iSAM2, update by update, beside iSAM2 alone.
+"""A running pipeline: the cost of the gate in front of iSAM2, update by update, beside iSAM2 alone.
 
 A robot drives laps with drifting odometry and offers a closure to the lap before every ten keyframes. Two smoothers get
-the same factors in turn, in one process: iSAM2 alone, which takes every closure, and the gated one. Times are processor
-times of single updates.
+the same factors in turn, in the same process: iSAM2 alone, which takes every closure, and the gated smoother. Times are
+processor times of single updates.
 """
 
 from __future__ import annotations
@@ -35,7 +35,16 @@ Row = dict[str, Any]
 
 
 def run(largest: int, seed: int, tell: Callable[[str], None]) -> list[Row]:
-    """Drive up to a number of keyframes; a row for each of `SIZES` on the way."""
+    """Drive up to a number of keyframes; a row for each of `SIZES` on the way.
+
+    Parameters
+    ----------
+    largest : int
+        Keyframes that are driven.
+    seed : int
+    tell : callable
+        Called with a line of progress.
+    """
     parameters = gtsam.ISAM2Params()
     parameters.setFactorization("QR")
     bare, gated = gtsam.ISAM2(parameters), pgti.GatedISAM2(parameters, radii=RADIUS_M)
@@ -82,7 +91,13 @@ def _row(n_keyframes: int, times: dict[str, list[float]], accepted: list[bool], 
 
 
 def draw(rows: list[Row], path: Path) -> None:
-    """Milliseconds of an update by the size of the map."""
+    """Milliseconds of an update by the size of the map.
+
+    Parameters
+    ----------
+    rows : list of Row
+    path : Path
+    """
     figure, axes = plt.subplots(figsize=(7, 4.2), layout="constrained")
     sizes = [row["n_keyframes"] for row in rows]
     for name, label, style in (
@@ -117,7 +132,13 @@ def line(row: Row) -> str:
 
 
 def drive(n_keyframes: int, seed: int) -> Iterator[tuple[gtsam.NonlinearFactorGraph, gtsam.Values, list[Any]]]:
-    """What each keyframe brings: its odometry and first value, and every so often a closure to the lap before."""
+    """The input of each keyframe: odometry and first value, and regularly a closure to the lap before.
+
+    Parameters
+    ----------
+    n_keyframes : int
+    seed : int
+    """
     random = np.random.default_rng(seed)
     noise = gtsam.noiseModel.Diagonal.Sigmas(np.array([0.05, 0.05, 0.01]))
     step, turn = gtsam.Pose2(1.0, 0.0, 0.0), gtsam.Pose2(1.0, 0.0, np.pi / 2)

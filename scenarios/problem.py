@@ -1,4 +1,4 @@
-"""What an experiment hands to every method: a map without its candidates, the candidates, and the truth."""
+"""The input of every method: a map without its candidates, the candidates, and the truth."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ class Problem:
     ----------
     name : str
     graph : gtsam.NonlinearFactorGraph
-        The map without any candidate: a prior, then odometry in order. All noise models are the ones that
+        The map without any candidate: a prior, then odometry in order. All noise models are those that
         methods are told, whatever the noise was.
     values : gtsam.Values
         First estimates: odometry chained.
     closures : tuple of gtsam.NonlinearFactorGraph
-        Candidates, one between factor each, by the later of their keyframes.
+        Candidates, a between factor each, by the later keyframe.
     true : (n_closures,) bool
         Labelled by geometry: does the measured relative pose agree with the truth?
     overlapping : (n_closures,) bool
-        Of false candidates, those that would lay free space upon free space which nothing connects; the
-        others are beyond the reach of PGTI, as its paper states. True of every true one.
+        False candidates that would lay free space upon unconnected free space; the
+        others are beyond the reach of PGTI, as the paper states. True of every true candidate.
     radii : float, or mapping from key to float
         m.
     truth : gtsam.Values
@@ -62,18 +62,25 @@ class Problem:
 
 
 def between(i: int, j: int, measured: gtsam.Pose2 | gtsam.Pose3, noise: gtsam.noiseModel.Base) -> Any:
-    """The between factor of the poses' own kind."""
+    """The between factor of the poses' own kind.
+
+    Parameters
+    ----------
+    i, j : int
+    measured : gtsam.Pose2 or gtsam.Pose3
+    noise : gtsam.noiseModel.Base
+    """
     factor = gtsam.BetweenFactorPose2 if isinstance(measured, gtsam.Pose2) else gtsam.BetweenFactorPose3
     return factor(i, j, measured, noise)
 
 
 def alone(factor: Any) -> gtsam.NonlinearFactorGraph:
-    """A graph of one factor."""
+    """A graph of a single factor."""
     graph = gtsam.NonlinearFactorGraph()
     graph.add(factor)
     return graph
 
 
 def space(pose: gtsam.Pose2 | gtsam.Pose3) -> gtsam.Pose3:
-    """A pose of the plane as one in space, any other as it is."""
+    """A pose of the plane as a pose in space, any other unchanged."""
     return gtsam.Pose3(pose) if isinstance(pose, gtsam.Pose2) else pose

@@ -1,8 +1,8 @@
 """Scan graphs with false closures between scans that truly look alike: fr079 and mit-cscail through the gate.
 
-Radii are what the scanner saw. Odometry is chained, so that its drift is back; the loops of the published map stand
-for true ones. A false one joins two scans that the same matching as in `worlds.appearance` finds alike and aligns,
-though the published map has them at least 5 m apart.
+Radii are the scanner's own. Odometry is chained, so that its drift is back; the loops of the published map stand
+for true loops. A false loop joins two scans that the same matching as in `worlds.appearance` finds alike and aligns,
+though at least 5 m apart on the published map.
 """
 
 from __future__ import annotations
@@ -49,7 +49,16 @@ MATCH_M = 0.6
 
 
 def run(data: Path, seeds: Sequence[int], tell: Callable[[str], None]) -> dict[str, dict[str, Any]]:
-    """Gate both graphs with fresh false closures for every seed; counts and rates by log."""
+    """Gate both graphs with fresh false closures for every seed; counts and rates by log.
+
+    Parameters
+    ----------
+    data : Path
+        Folder of the scan graphs.
+    seeds : sequence of int
+    tell : callable
+        Called with a line of progress.
+    """
     found = {}
     for name in LOGS:
         rows = [gated(_path(data, name), seed) for seed in seeds]
@@ -69,7 +78,13 @@ def run(data: Path, seeds: Sequence[int], tell: Callable[[str], None]) -> dict[s
 
 
 def gated(path: Path, seed: int) -> dict[str, Any]:
-    """Add false closures to one log, and gate all of its closures in time order."""
+    """Add false closures to a log, and gate all closures in time order.
+
+    Parameters
+    ----------
+    path : Path
+    seed : int
+    """
     dataset = datasets.read(path)
     graph = gtsam.NonlinearFactorGraph(dataset.graph)
     alike, random = look_alikes(path), np.random.default_rng(seed)
@@ -95,7 +110,7 @@ def gated(path: Path, seed: int) -> dict[str, Any]:
 
 @functools.lru_cache(maxsize=2)
 def look_alikes(path: Path) -> list[tuple[int, int, gtsam.Pose2]]:
-    """All pairs of keyframes that scan matching takes for one place, earlier first, with the pose that it found."""
+    """All pairs of keyframes that scan matching takes for the same place, earlier first, with the matched pose."""
     published = datasets.read(path).values
     scans = [_hits(scan) for scan in _scans(path)]
     places = np.array([published.atPose2(key).translation() for key in range(len(scans))])

@@ -1,9 +1,9 @@
 """Which rise of PGTI tells a false closure: "a spurious closure makes the score spike" (section 6.3.1), measured.
 
-Closures come in time order onto a map that ties all true ones before. A candidate is tied by itself, the drift model
-brings the map to its optimum with it and without, and seven scores are compared before and after. Candidates are the
-first true match of every revisit and all false ones, sampled where there are many: the further matches of a revisit
-that is tied already move nothing.
+Closures come in time order onto a map that ties all earlier true closures. A candidate is tied alone, the drift model
+brings the map to the optimum with and without the candidate, and seven scores are compared before and after. Candidates
+are the first true match of every revisit and all false matches, sampled where there are many: the further matches of a
+revisit that is tied already move nothing.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ class Trial(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Arrivals:
-    """Closures by the later of their keyframes, and the map that they come to.
+    """Closures by the later keyframe, and the map before each.
 
     Attributes
     ----------
@@ -95,7 +95,7 @@ class Arrivals:
     values : gtsam.Values
         Odometry chained.
     closures : sequence of gtsam.NonlinearFactorGraph
-        One between factor each.
+        A between factor each.
     true, overlapping : (k,) bool
         As in `Problem`.
     radii : float, or mapping from key to float
@@ -111,13 +111,29 @@ class Arrivals:
 
 
 def trials(names: Sequence[str], seeds: Sequence[int], data: Path | None) -> list[Trial]:
-    """Every world at every seed, and all real maps once."""
+    """Every world at every seed, and all real maps once.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Worlds.
+    seeds : sequence of int
+    data : Path, optional
+        Folder of all data.
+    """
     found = [Trial(name, seed) for name in names for seed in seeds]
     return found if data is None else found + [Trial(name, 0) for name in REAL]
 
 
 def row(trial: Trial, data: Path | None) -> dict[str, Any]:
-    """Every candidate of a map: whether it is true, whether it brings free space into contact, and its rises."""
+    """Every candidate of a map: whether true, whether free space comes into contact, and the rises.
+
+    Parameters
+    ----------
+    trial : Trial
+    data : Path, optional
+        Folder of all data.
+    """
     arriving = arrivals(trial, data)
     ends = [_ends(closure) for closure in arriving.closures]
     chosen = _sample(ends, arriving.true, np.random.default_rng(trial.seed))
@@ -137,7 +153,13 @@ def row(trial: Trial, data: Path | None) -> dict[str, Any]:
 
 
 def spikes(reference: ReferenceMap, closure: gtsam.NonlinearFactorGraph) -> dict[str, float]:
-    """By how much each of `SPIKES` rises when a closure is tied; `allowed`, how far its ends may have drifted, in ρ."""
+    """The rise of each of `SPIKES` when a closure is tied; `allowed`, the drift between the ends, in ρ.
+
+    Parameters
+    ----------
+    reference : ReferenceMap
+    closure : gtsam.NonlinearFactorGraph
+    """
     # the map without and with the closure, at either optimum
     without, (ties,) = reference.offered([closure])
     active = without.active.copy()
@@ -163,7 +185,7 @@ def spikes(reference: ReferenceMap, closure: gtsam.NonlinearFactorGraph) -> dict
 
 
 def _global_scores(integrity: Integrity) -> NDArray[np.float64]:
-    """ζ_glob of every keyframe, of which Λ_glob is that of the worst keyframe alone."""
+    """ζ_glob of every keyframe; Λ_glob is ζ_glob of the worst keyframe alone."""
     late = slice(round(integrity.beta * len(integrity.times)), None)
     before, after = integrity.signatures_pose_graph[:, late], integrity.signatures_merged_graph[:, late]
     return relative_distortion(before, after, integrity.norm)
@@ -186,7 +208,7 @@ def _ends(closure: gtsam.NonlinearFactorGraph) -> tuple[int, int]:
 
 
 def _continued(estimate: Mapping[int, Any], chain: Mapping[int, Any], last: int) -> dict[int, Any]:
-    """The estimate so far, and the keyframes up to the last by odometry from its end."""
+    """The estimate so far, and the keyframes up to the last by odometry from the end."""
     found, end = dict(estimate), max(estimate, default=None)
     for key, pose in chain.items():
         if key <= last and key not in found:
@@ -197,7 +219,7 @@ def _continued(estimate: Mapping[int, Any], chain: Mapping[int, Any], last: int)
 def _map_until(
     arriving: Arrivals, last: int, tied: Sequence[gtsam.NonlinearFactorGraph], estimate: Mapping[int, Any]
 ) -> ReferenceMap:
-    """The map as it is when its last keyframe has come."""
+    """The map at the time when its last keyframe has come."""
     graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
     for slot in range(arriving.odometry.size()):
         if max(arriving.odometry.at(slot).keys()) <= last:
@@ -221,12 +243,18 @@ def _drawn(reference: ReferenceMap) -> dict[int, Any]:
 
 
 def arrivals(trial: Trial, data: Path | None) -> Arrivals:
-    """What arrives on a map.
+    """The closures that arrive on a map.
+
+    Parameters
+    ----------
+    trial : Trial
+    data : Path, optional
+        Folder of all data.
 
     Raises
     ------
     InvalidOptionError
-        A real map without the folder of all data, or one that is not there.
+        A real map without the folder of all data, or a missing map.
     """
     name, seed = trial
     if name in LAYOUTS:
@@ -286,7 +314,7 @@ def _offered(dataset: Dataset, factors: Sequence[Any], true: Sequence[bool], rad
 
 
 def report(rows: Sequence[Mapping[str, Any]]) -> Iterator[str]:
-    """Three tables as Markdown: area under the curve, false ones caught, and the same by limits of training seeds."""
+    """Three tables as Markdown: area under the curve, false closures caught, and by limits of training seeds."""
     pools = _pools([row for row in rows if row["seed"] < TRAINING])
     training = [row for row in rows if row["seed"] >= TRAINING]
     yield from _table("area under the curve", pools, _area)
@@ -304,7 +332,7 @@ def limits_of(rows: Sequence[Mapping[str, Any]]) -> dict[str, float]:
 
 
 def _pools(rows: Sequence[Mapping[str, Any]]) -> dict[str, list[Any]]:
-    """Candidates by map, those of all seeds together, and of all worlds."""
+    """Candidates by map, of all seeds together, and of all worlds."""
     found: dict[str, list[Any]] = {}
     for each in rows:
         found.setdefault(each["map"], []).extend(each["candidates"])
@@ -338,7 +366,7 @@ def _rises(found: Sequence[Mapping[str, Any]], name: str, *, is_true: bool) -> N
 
 
 def _limit(true: NDArray[np.float64]) -> float:
-    """The least limit that no more than `LOST` of these exceed."""
+    """The least limit that at most `LOST` of these exceed."""
     return float(np.sort(true)[::-1][int(LOST * len(true))])
 
 

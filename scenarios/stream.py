@@ -1,9 +1,9 @@
 """A running pipeline that asks the gate through a pipe: how long a closure waits for its verdict.
 
 The drive of `scenarios.pipeline`, as g2o lines to a process of `pgti-gtsam gate --stream`. Times run from the write of
-a line to its answer: on the wall, which is what a pipeline waits but grows with whatever else the machine does, and of
-the process on its processor, which Linux tells in nanoseconds. The client waits for each answer, and after odometry
-for the process to be done with it, as a pipeline does whose keyframes come slower.
+a line to the answer: wall time, the wait of a pipeline, which grows with the load of the machine; and processor time of
+the process, which Linux tells in nanoseconds. The client waits for each answer, and after odometry
+until the process is idle, like a pipeline with slower keyframes.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def run(largest: int, seed: int, state: Path | None, tell: Callable[[str], None]
     largest : int
     seed : int
     state : Path, optional
-        A file that the stream keeps its map in.
+        A file that keeps the stream's map.
     tell : callable
         Told each row in words.
     """

@@ -1,4 +1,4 @@
-"""Trials at scale, by the runner that audits many maps: a killed run goes on where it stopped."""
+"""Trials at scale, by the runner that audits many maps: a killed run goes on from its last row."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ def run(
     tell: Callable[[str], None],
     **options: Any,
 ) -> list[dict[str, Any]]:
-    """Run what the file does not hold yet; all rows, in the order of the trials.
+    """Run the trials that the file lacks; all rows, in the order of the trials.
 
     Parameters
     ----------
     path : Path
     wanted : sequence of named tuples
-        Trials, whose fields their rows repeat; a trial with a method `key` is named in its row as that says.
+        Trials, whose fields the rows repeat; a trial with a method `key` is named in its row by `key()`.
     row : callable
         From a trial and the options to its row.
     scheduler : str or None

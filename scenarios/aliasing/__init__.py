@@ -1,1 +1,1 @@
-"""Every method against every kind of aliasing: problems, methods, trials, their rows and what is drawn from them."""
+"""Every method against every kind of aliasing: problems, methods, trials, rows, tables and figures."""

@@ -1,9 +1,10 @@
-"""The field's protocol: false closures mixed into the true ones of standard graphs (Sünderhauf's Vertigo, ICRA 2013).
+"""The field's protocol: false closures mixed into the true closures of standard graphs (Sünderhauf's Vertigo, ICRA
+2013).
 
 A false closure joins two keyframes that the clean optimum has more than 10 m apart, with the relative pose of a true
 one; one that passes χ² there is none. Truth is the optimum of the published graph, if χ² bears that out. Free radii,
-which these files do not hold, are assumed: twice the median step. Whether a false closure brings free space into
-contact is not told: all count as if it did.
+These files hold no free radii: twice the median step is assumed. Whether a false closure brings free space into
+contact is not told: all count as contacts.
 """
 
 from __future__ import annotations
@@ -49,7 +50,7 @@ def problem(path: Path, seed: int, share: float, kind: str = "random") -> Proble
         g2o file of Pose2 or Pose3 keyframes.
     seed : int
     share : float
-        False closures per true one.
+        False closures per true closure.
     kind : str
         Of `KINDS`.
     """
@@ -127,7 +128,7 @@ def _is_borne_out(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> bo
 
 
 def _outliers(truth: gtsam.Values, inliers: list[Any], kind: str, random: np.random.Generator) -> Iterator[Any]:
-    """False closures without end, each with the noise model and, the first of a group, the pose of a true one."""
+    """False closures without end, each with the noise model and, the first of a group, the pose of a true closure."""
     n = truth.size()
     poses = list(poses_of(truth).values())
     places = np.array([pose.translation() for pose in poses])

@@ -19,7 +19,13 @@ from scenarios.worlds import TOLD
 
 
 def draw(rows: Sequence[dict[str, Any]], path: Path) -> None:
-    """All three, each point a mean over worlds and seeds with its interval."""
+    """All three, each point a mean over worlds and seeds with its interval.
+
+    Parameters
+    ----------
+    rows : sequence of mapping
+    path : Path
+    """
     figure, axes = plt.subplots(1, 3, figsize=(16, 4.4), layout="constrained", sharey=True)
     for k, method in enumerate(METHODS):
         style = {"color": f"C{k - 1}", "lw": 1.0, "ls": "-" if k < 6 else "--"}

@@ -18,7 +18,13 @@ from scenarios.problem import Problem, space
 
 
 def draw(problems: Sequence[Problem], path: Path) -> None:
-    """One row for each problem."""
+    """A row for each problem.
+
+    Parameters
+    ----------
+    problems : sequence of Problem
+    path : Path
+    """
     figure, axes = plt.subplots(
         len(problems), 4, figsize=(14, 3.2 * len(problems)), layout="constrained", squeeze=False
     )

@@ -1,4 +1,4 @@
-"""The gate and the methods it is compared with: each takes a problem and says which closures it believes.
+"""The gate and the methods beside the gate: each takes a problem and says which closures are true.
 
 All get the same graph, estimates, noise models and known inliers (prior and odometry), and run with the parameters that
 their authors or GTSAM give as default. References: PCM: Mangelson et al., ICRA 2018; GNC: Yang et al., RA-L 2020; DCS:
@@ -39,7 +39,7 @@ the best, with 1.5 m, on eight drives through the worlds (seeds 1000 and 1001)."
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Outcome:
-    """What a method made of a problem.
+    """The answer of a method to a problem.
 
     Attributes
     ----------
@@ -62,7 +62,14 @@ Answer = tuple[NDArray[np.bool_], NDArray[np.float64], gtsam.Values]
 
 
 def solve(problem: Problem, method: str) -> Outcome:
-    """Run a method of `METHODS`."""
+    """Run a method of `METHODS`.
+
+    Parameters
+    ----------
+    problem : Problem
+    method : str
+        Name in `METHODS`.
+    """
     started = time.process_time()
     accepted, confidence, values = METHODS[method](problem)
     seconds = time.process_time() - started
@@ -70,7 +77,13 @@ def solve(problem: Problem, method: str) -> Outcome:
 
 
 def joined(problem: Problem, accepted: NDArray[np.bool_]) -> gtsam.NonlinearFactorGraph:
-    """The map with some of its closures."""
+    """The map with some of its closures.
+
+    Parameters
+    ----------
+    problem : Problem
+    accepted : (n_closures,) bool
+    """
     graph = gtsam.NonlinearFactorGraph(problem.graph)
     for closure, keep in zip(problem.closures, accepted, strict=True):
         if keep:
@@ -79,7 +92,13 @@ def joined(problem: Problem, accepted: NDArray[np.bool_]) -> gtsam.NonlinearFact
 
 
 def optimised(problem: Problem, accepted: NDArray[np.bool_]) -> gtsam.Values:
-    """Its optimum, from odometry."""
+    """The optimum of that map, from odometry.
+
+    Parameters
+    ----------
+    problem : Problem
+    accepted : (n_closures,) bool
+    """
     return gtsam.LevenbergMarquardtOptimizer(joined(problem, accepted), problem.values).optimize()
 
 
@@ -101,7 +120,7 @@ def _gate(problem: Problem, rule: str) -> Answer:
 
 
 def _chi_squared(problem: Problem) -> Answer:
-    """In time order: the closure's error against its covariance given all before, by iSAM2."""
+    """In time order: the closure's error against the error's covariance given all before, by iSAM2."""
     parameters = gtsam.ISAM2Params()
     parameters.setFactorization("QR")  # Cholesky loses a chain as stiff as that of MIT.g2o
     parameters.relinearizeSkip = 1
@@ -145,7 +164,7 @@ def _vetoed(problem: Problem) -> Answer:
     """IPC: in time order, rejected when any edge of the candidate's subgraph, optimised alone, fails its χ² test.
 
     The subgraph is the odometry from the first to the last keyframe of all accepted closures whose spans overlap the
-    candidate's, directly or through others, with these closures.
+    candidate's, directly or through others, with the closures of these spans.
     """
     accepted, worst = np.zeros(len(problem.closures), dtype=bool), np.zeros(len(problem.closures))
     voters = [_firmer(problem.graph.at(slot)) for slot in range(1, problem.graph.size())]
@@ -169,13 +188,13 @@ def _vetoed(problem: Problem) -> Answer:
 
 
 def _firmer(step: Any) -> Any:
-    """A step of odometry that is told to be better than it is."""
+    """A step of odometry with sigmas below the true errors."""
     noise = gtsam.noiseModel.Gaussian.Covariance(_covariance(step) / VOTER)
     return between(*step.keys(), step.measured(), noise)
 
 
 def _optimum_between(problem: Problem, first: int, last: int, edges: list[Any], values: gtsam.Values) -> gtsam.Values:
-    """Keyframes from the first to the last by some edges alone, the first held where it is."""
+    """Keyframes from the first to the last by some edges alone, with the first fixed at its place."""
     at = values.atPose2 if problem.planar else values.atPose3
     prior = gtsam.PriorFactorPose2 if problem.planar else gtsam.PriorFactorPose3
     graph, own = gtsam.NonlinearFactorGraph(), gtsam.Values()
@@ -188,7 +207,7 @@ def _optimum_between(problem: Problem, first: int, last: int, edges: list[Any], 
 
 
 def _carried(problem: Problem, values: gtsam.Values, after: gtsam.Values, last: int) -> gtsam.Values:
-    """Estimates with a stretch at its optimum, and what comes after the stretch moved along with its end."""
+    """Estimates with a stretch at its optimum, and the keyframes after the stretch moved along with its end."""
     poses, moved = problem.poses(values), gtsam.Values(values)
     moved.update(after)
     end = (after.atPose2 if problem.planar else after.atPose3)(last)
@@ -227,7 +246,7 @@ def _apart_m(one: NDArray[np.float64], other: NDArray[np.float64]) -> float:
 
 
 def _pairwise_consistent(problem: Problem) -> Answer:
-    """PCM: the largest set of closures of which any two agree with odometry."""
+    """PCM: the largest set of closures in which any two agree with odometry."""
     pairs = _consistent(problem)
     clique, _ = nx.max_weight_clique(nx.from_numpy_array(pairs), weight=None)
     accepted = np.zeros(len(problem.closures), dtype=bool)

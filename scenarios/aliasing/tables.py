@@ -9,7 +9,14 @@ import numpy as np
 
 
 def mean_and_interval(found: Sequence[float], seed: int = 0) -> tuple[float, float, float]:
-    """Mean, and its 95 % bootstrap interval."""
+    """Mean, and its 95 % bootstrap interval.
+
+    Parameters
+    ----------
+    found : sequence of float
+    seed : int
+        Of the bootstrap.
+    """
     random, array = np.random.default_rng(seed), np.asarray(found, dtype=float)
     means = random.choice(array, (2000, len(array))).mean(axis=1)
     low, high = np.quantile(means, [0.025, 0.975])
@@ -17,7 +24,16 @@ def mean_and_interval(found: Sequence[float], seed: int = 0) -> tuple[float, flo
 
 
 def table(rows: Sequence[dict[str, Any]], by: str, measure: str = "f1") -> str:
-    """Means of a measure by method and by what a key of the rows holds; the worst of them, and an interval of all."""
+    """Means of a measure by method and by the values of a key; the worst mean, and an interval of all.
+
+    Parameters
+    ----------
+    rows : sequence of mapping
+    by : str
+        Key of the rows by which means are taken.
+    measure : str
+        Key of the averaged number.
+    """
     columns = list(dict.fromkeys(row[by] for row in rows))
     lines = [f"| method | {' | '.join(map(str, columns))} | worst | all |", "|---|" + "---|" * (len(columns) + 2)]
     for method in dict.fromkeys(row["method"] for row in rows):

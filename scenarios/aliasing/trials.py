@@ -1,4 +1,4 @@
-"""What is tried: every method on every problem; one row of numbers each."""
+"""The trials: every method on every problem; a row of numbers each."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ DRIFT_METHODS = ("gate", "χ²", "PCM", "GNC-TLS", "DCS")
 
 
 class Trial(NamedTuple):
-    """A world of `LAYOUTS` or the path of a standard graph, a seed, what methods are told or how outliers lie, …"""
+    """A world of `LAYOUTS` or the path of a standard graph, a seed, the sigmas told or the outliers' pattern, …"""
 
     world: str
     seed: int
@@ -42,12 +42,19 @@ class Trial(NamedTuple):
     method: str
 
     def key(self) -> Trial:
-        """The trial as its row names it, wherever the data lies."""
+        """The trial under the name in its row, wherever the data lies."""
         return self._replace(world=Path(self.world).stem)
 
 
 def world_trials(names: Collection[str], seeds: Sequence[int]) -> Iterator[Trial]:
-    """All noise models at equal shares, and all shares with the right one."""
+    """All noise models at equal shares, and all shares with the right noise model.
+
+    Parameters
+    ----------
+    names : collection of str
+        Worlds.
+    seeds : sequence of int
+    """
     for name, seed, told in product(names, seeds, worlds.TOLD):
         for share, method in product(SHARES if told == "right" else (1.0,), METHODS):
             if method != SLOW or (share == 1.0 and told in ("right", "identity")):
@@ -55,13 +62,28 @@ def world_trials(names: Collection[str], seeds: Sequence[int]) -> Iterator[Trial
 
 
 def drift_trials(names: Collection[str], seeds: Sequence[int]) -> Iterator[Trial]:
-    """All kinds of drift at equal shares; sigmas are three times the walk's, by which other methods do best."""
+    """All kinds of drift at equal shares; sigmas are three times the walk's, the best value for other methods.
+
+    Parameters
+    ----------
+    names : collection of str
+        Worlds.
+    seeds : sequence of int
+    """
     for name, seed, kind, method in product(names, seeds, drift.KINDS, DRIFT_METHODS):
         yield Trial(name, seed, kind, 1.0, method)
 
 
 def field_trials(paths: Sequence[Path], seeds: Sequence[int], methods: Sequence[str]) -> Iterator[Trial]:
-    """All shares of random outliers, and all kinds at equal shares; the noise models are those of the files."""
+    """All shares of random outliers, and all kinds at equal shares; the noise models are the files' own.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        Standard graphs.
+    seeds : sequence of int
+    methods : sequence of str
+    """
     for path, seed, kind in product(paths, seeds, field.KINDS):
         for share, method in product(SHARES if kind == "random" else (1.0,), methods):
             yield Trial(str(path), seed, kind, share, method)
@@ -69,7 +91,18 @@ def field_trials(paths: Sequence[Path], seeds: Sequence[int], methods: Sequence[
 
 @functools.lru_cache(maxsize=2)
 def problem(world: str, seed: int, setting: str, share: float) -> Problem:
-    """What a trial's method gets."""
+    """The problem of a trial.
+
+    Parameters
+    ----------
+    world : str
+        World, or path of a standard graph.
+    seed : int
+    setting : str
+        Noise model, kind of drift or kind of outliers.
+    share : float
+        False closures per true closure.
+    """
     if setting in drift.KINDS:
         return worlds.problem(world, seed, "three times", share=share, errors=drift.KINDS[setting])
     if world in LAYOUTS:
@@ -81,7 +114,14 @@ _helper = Helper()
 
 
 def row(trial: Trial, limit_s: float) -> dict[str, Any]:
-    """Run one trial; a method that gives up or takes too long believes in nothing."""
+    """Run a trial; a method that gives up or takes too long accepts nothing.
+
+    Parameters
+    ----------
+    trial : Trial
+    limit_s : float
+        Time of a method, s.
+    """
     given = problem(*trial[:4])
     found: dict[str, Any] = trial.key()._asdict()
     true, seen = given.true, given.overlapping

@@ -1,8 +1,8 @@
-"""What tells contacts that are the space's from chance: the fit behind `pgti_gtsam.diagnosis.contacts.CONTACT`.
+"""Real contacts told from chance: the fit behind `pgti_gtsam.diagnosis.contacts.CONTACT`.
 
 Maps of odometry alone, of training seeds, with drift of two kinds: the simulator's walk and heading bias, several
 times as large or small, and a scale that shrinks along the drive, as a single camera's does. Of each contact that
-nothing explains the truth says whether it is real; a logistic regression says so from what the map itself knows.
+nothing explains the truth says whether the contact is real; a logistic regression says so from the map's own numbers.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ EDGES = (0.0, 0.25, 0.5, 0.75, 0.9, 0.95, 0.99, 1.01)
 
 
 class Trial(NamedTuple):
-    """A world, a seed, and how its odometry drifts: `walk` or `scale`, and how much."""
+    """A world, a seed, and the drift of the odometry: `walk` or `scale`, and how much."""
 
     world: str
     seed: int
@@ -49,14 +49,20 @@ class Trial(NamedTuple):
 
 
 def trials(worlds: Sequence[str], seeds: Sequence[int]) -> Iterator[Trial]:
-    """Every drift of every drive."""
+    """Every drift of every drive.
+
+    Parameters
+    ----------
+    worlds : sequence of str
+    seeds : sequence of int
+    """
     drifts = [*product(["walk"], WALKS), *product(["scale"], SHRINKS)]
     for seed, world, (kind, amount) in product(seeds, worlds, drifts):
         yield Trial(world, seed, kind, amount)
 
 
 def row(trial: Trial) -> dict[str, Any]:
-    """The contacts of a map: length ℓ and drift s as `CONTACT` has them, and whether each is real."""
+    """The contacts of a map: length ℓ and drift s as in `CONTACT`, and whether each is real."""
     driven = drifting(trial)
     graph, values = sparse.odometry(driven), sparse.values(driven.chained(), driven)
     pose_graph = from_gtsam(graph, values, radii=dict(enumerate(driven.radii.tolist())))
@@ -88,7 +94,7 @@ def fitted(rows: Sequence[dict[str, Any]]) -> Array:
 
 
 def report(rows: Sequence[dict[str, Any]]) -> Iterator[str]:
-    """The fit, and how often contacts are real by the probability that it gives them."""
+    """The fit, and how often contacts are real by the probability of the fit."""
     coefficients = fitted(rows)
     yield f"log odds = {coefficients[0]:.2f} + {coefficients[1]:.2f} ln ℓ + {coefficients[2]:.2f} ln s\n"
     yield "| probability | " + " | ".join(f"{kind}: contacts | real" for kind in ("walk", "scale", "all")) + " |"
@@ -104,7 +110,7 @@ def report(rows: Sequence[dict[str, Any]]) -> Iterator[str]:
 
 
 def _terms(rows: Sequence[dict[str, Any]]) -> tuple[Array, Array]:
-    """1, ln ℓ and ln s of every contact, and whether it is real."""
+    """1, ln ℓ and ln s of every contact, and whether the contact is real."""
     found = np.array([contact for row in rows for contact in row["contacts"]], dtype=float).reshape(-1, 3)
     found = found[np.isfinite(found[:, 1])]
     return np.column_stack([np.ones(len(found)), np.log(found[:, :2])]), found[:, 2]

@@ -61,15 +61,29 @@ class Course:
 
 
 def course(world: str, seed: int, drift_scale: float = 1.0) -> Course:
-    """A drive through a world of `LAYOUTS`, with errors of odometry this many times the simulator's."""
+    """A drive through a world of `LAYOUTS`, with errors of odometry this many times the simulator's.
+
+    Parameters
+    ----------
+    world : str
+        A world of `LAYOUTS`.
+    seed : int
+    drift_scale : float
+        Factor on the simulator's errors of odometry.
+    """
     layout, truth, radii = _driven(world, seed)
     return _with_odometry(layout, truth, radii, seed, drift_scale)
 
 
 def out_and_back(world: str, seed: int) -> Course:
-    """A drive along one way, straight or curved, and back: its length and its drift are drawn.
+    """A drive along a way, straight or curved, and back: length and drift are drawn.
 
     Step and radii are the world's.
+
+    Parameters
+    ----------
+    world : str
+    seed : int
     """
     layout, _, around = _driven(world, seed)
     random = np.random.default_rng([seed, sorted(LAYOUTS).index(world)])
@@ -94,8 +108,8 @@ def out_and_back(world: str, seed: int) -> Course:
 def second_passes(course: Course) -> list[Pairs]:
     """Pairs of keyframes that a detector matches, (k, 2) int each, grouped by revisit.
 
-    Every second keyframe of a later pass with the nearest one of the earlier; of a pass that comes no nearer, or only
-    between two of those, the nearest pair.
+    Every second keyframe of a later pass with the nearest of the earlier; of a pass that comes no nearer, or only
+    between two such keyframes, the nearest pair.
     """
     places = np.array([pose.translation() for pose in course.truth])
     way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(places, axis=0), axis=1))])
@@ -105,13 +119,20 @@ def second_passes(course: Course) -> list[Pairs]:
 
 
 def match(course: Course, i: int, j: int, random: np.random.Generator) -> gtsam.Pose3:
-    """Pose of j seen from i as a matcher measures it."""
+    """Pose of j seen from i as a matcher measures the pose.
+
+    Parameters
+    ----------
+    course : Course
+    i, j : int
+    random : np.random.Generator
+    """
     free = np.array([0, 0, 1, 1, 1, 0]) if course.is_planar else 1
     return course.truth[i].between(course.truth[j]).compose(gtsam.Pose3.Expmap(random.normal(0.0, MATCH) * free))
 
 
 def _matched(pairs: Pairs, gaps: Array) -> Pairs:
-    """The nearest earlier keyframe for every second later one."""
+    """The nearest earlier keyframe for every second later keyframe."""
     distance = gaps[pairs[:, 0], pairs[:, 1]]
     by_distance = pairs[np.argsort(distance, kind="stable")]
     _, first = np.unique(by_distance[:, 1], return_index=True)
@@ -145,7 +166,7 @@ def _scaled(true: gtsam.Pose3, measured: gtsam.Pose3, scale: float) -> gtsam.Pos
 
 
 def _on_arc(way: float, curvature: float, turned: float) -> gtsam.Pose3:
-    """Where an arc has led after so much way, and how the body stands there."""
+    """The end of an arc after so much way, and the body's attitude there."""
     heading = way * curvature
     if abs(curvature) < 1e-9:
         place = np.array([way, 0.0, 0.0])

@@ -1,4 +1,4 @@
-"""Maps of odometry and landmarks: what is seen again under its old identity ties passes, and the radii come from it."""
+"""Maps of odometry and landmarks: landmarks seen again under their old identity tie passes, and give the radii."""
 
 from __future__ import annotations
 
@@ -30,9 +30,18 @@ Sightings = list[tuple[int, Array]]
 
 
 def case(world: str, seed: int, kind: str, sensor: Sensor | None = None) -> Case:
-    """A course through a world with one of `DAMAGES`, seen by the layout's sensor or another.
+    """A course through a world with damage, seen by the layout's sensor or another.
 
     Drive, landmarks, their strength and the damage are the same for all sensors.
+
+    Parameters
+    ----------
+    world : str
+    seed : int
+    kind : str
+        One of `DAMAGES`.
+    sensor : Sensor, optional
+        The layout's own when left out.
     """
     of_sightings, random = np.random.default_rng(
         [seed, sorted(LAYOUTS).index(world), damage.DAMAGES.index(kind)]
@@ -51,7 +60,7 @@ def case(world: str, seed: int, kind: str, sensor: Sensor | None = None) -> Case
 
 
 def _intact(driven: Course, seen: list[Sightings]) -> Intact:
-    """The map of what was seen; landmarks are placed where they are, or from odometry alone."""
+    """The map of the sightings; landmarks are placed at the truth, or from odometry alone."""
     sensor = driven.layout.sensor
     graph, near = landmarks.landmark_graph(seen, driven.truth, sensor)
     _, chained = landmarks.landmark_graph(seen, driven.chained(), sensor)
@@ -70,7 +79,7 @@ def _intact(driven: Course, seen: list[Sightings]) -> Intact:
 
 
 def _sightings(driven: Course, random: np.random.Generator) -> list[Sightings]:
-    """For each keyframe, points in view, the strongest ones, and where it sees them; a point keeps its identity."""
+    """For each keyframe, points in view, the strongest points, and their positions; a point keeps its identity."""
     layout, sensor = driven.layout, driven.layout.sensor
     points = landmarks.places(layout.solid, sensor, driven.truth[0].z(), layout.landmarks_per_m2, random)
     points = points[random.permutation(len(points))]  # the strongest first
@@ -85,7 +94,7 @@ def _sightings(driven: Course, random: np.random.Generator) -> list[Sightings]:
 
 
 def _strongest(layout: Layout, pose: gtsam.Pose3, points: Array, random: np.random.Generator) -> NDArray[np.int64]:
-    """The first points in view that are not missed; more are looked at only until there are enough."""
+    """The first points in view that are not missed; more are looked at only until enough are found."""
     found = np.zeros(0, dtype=np.int64)
     for start in range(0, len(points), AT_ONCE):
         view = start + layout.sensor.sees(layout.solid, pose, points[start : start + AT_ONCE])
@@ -96,7 +105,7 @@ def _strongest(layout: Layout, pose: gtsam.Pose3, points: Array, random: np.rand
 
 
 def _forgotten(seen: list[Sightings], first: int, last: int) -> list[Sightings]:
-    """A later stretch that recognises nothing from before, nor is recognised after it."""
+    """A later stretch without recognition of earlier landmarks, and never recognised later."""
     new = 1 + max((point for points in seen for point, _ in points), default=0)
     return [
         [(point + new if first <= k <= last else point, at) for point, at in points] for k, points in enumerate(seen)

@@ -1,4 +1,4 @@
-"""Maps as they should be, and seven ways to damage them."""
+"""Maps without damage, and seven ways to damage a map."""
 
 from __future__ import annotations
 
@@ -32,15 +32,15 @@ class Intact:
     Attributes
     ----------
     base : gtsam.NonlinearFactorGraph
-        Odometry, and what is no closure.
+        Odometry, and all else but closures.
     revisits : tuple of tuples of factors
-        True closures, those of a second pass together.
+        True closures, the closures of a second pass together.
     near : gtsam.Values
         From where the optimum is found: the truth.
     chained : gtsam.Values
         Odometry alone.
     radii : float, mapping from key to float, or None
-        None where landmark factors give them.
+        None where landmark factors give the radii.
     places : (n, 3) float
         True positions in the order of the keys, m.
     noise : gtsam.noiseModel.Base
@@ -48,7 +48,7 @@ class Intact:
     match : callable
         A pose that the identity is measured as.
     solid : Solid or None
-        What may hide one place from another; None where it is not known.
+        The surfaces that may hide places from each other; None where not known.
     """
 
     base: gtsam.NonlinearFactorGraph
@@ -69,7 +69,7 @@ class Case:
     Attributes
     ----------
     graph, values, radii
-        What `diagnose` gets.
+        The input of `diagnose`.
     places, solid
         As in `Intact`.
     false_slots : tuple of int
@@ -85,7 +85,7 @@ class Case:
 
 
 def damaged(intact: Intact, damage: str, random: np.random.Generator, keys: Sequence[int], unit_m: float) -> Case:
-    """The map after one of `DAMAGES`, at its optimum; `drift` and `out and back` are what the map was made with.
+    """The map after one of `DAMAGES`, at its optimum; `drift` and `out and back` are made with the map.
 
     Parameters
     ----------
@@ -121,7 +121,7 @@ def _kept(intact: Intact, damage: str, random: np.random.Generator) -> list[tupl
 
 
 def _false_closure(intact: Intact, random: np.random.Generator, keys: Sequence[int], unit_m: float) -> Any:
-    """One that takes two distant keyframes for one place."""
+    """A closure that takes two distant keyframes for the same place."""
     for _ in range(10_000):
         i, j = np.sort(random.choice(len(keys), 2, replace=False))
         if np.linalg.norm(intact.places[i] - intact.places[j]) >= APART * unit_m:

@@ -1,13 +1,13 @@
-"""What the truth says of a map: which contacts are real, which second passes are tied, and so what a verdict should be.
+"""The truth on a map: the real contacts, the tied second passes, and so the right verdict.
 
 A contact of a map is two stretches of track whose spheres meet although the way between them is longer than the spheres
-reach. It is *real* if the two stretches, widened by five keyframes, come within 1.3 times the sum of their radii in the
-truth, else it is chance. A pair of keyframes of a real contact is *tied* if a true closure lies within ten keyframes
-of both, or if all true ties together hold the relative position more exactly than their spheres reach even where
-odometry is poor. Where the world is known, pairs that a surface parts need no tie.
+reach. A contact is *real* if the two stretches, widened by five keyframes, come within 1.3 times the sum of their radii
+in the truth, else the contact is chance. A pair of keyframes of a real contact is *tied* if a true closure lies within
+ten keyframes of both, or if all true ties together hold the relative position more exactly than their spheres reach
+even where odometry is poor. Where the world is known, pairs that a surface parts need no tie.
 
-"All ties together" matters. A stretch that is tied at both ends is held like a beam that is clamped at both: in its
-middle it gives less than half of what either end alone would leave to it, let alone one end by the shortest way.
+"All ties together" matters. A stretch that is tied at both ends is held like a beam that is clamped at both: the
+middle gives less than half of the play that either end alone would leave, let alone one end by the shortest way.
 """
 
 from __future__ import annotations
@@ -36,18 +36,18 @@ ASKED = 12
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Expectation:
-    """What the truth says.
+    """The truth on a map.
 
     Attributes
     ----------
     verdict : {"consistent", "incomplete", "inconsistent"}
     n_real, n_chance, n_untied : int
-        Contacts of the map; the untied ones are real, and in sight of each other.
+        Contacts of the map; the untied contacts are real, and in sight of each other.
     loosest : float
         Largest standard deviation that the ties leave to the two stretches of a real contact that no closure ties near
         by, in the sum of the radii; 0 without any.
     nearest_chance : float
-        How near in truth, in the sum of their radii, the two stretches of a chance contact come that come nearest;
+        Smallest true distance of the two stretches of a chance contact, in the sum of their radii;
         infinite without any.
     gaps : (n, n) float
         True distances of the keyframes in the sum of their radii.
@@ -63,7 +63,13 @@ class Expectation:
 
 
 def expected(case: Case, pose_graph: PoseGraph) -> Expectation:
-    """The verdict that is right of a map, by the truth."""
+    """The verdict that is right of a map, by the truth.
+
+    Parameters
+    ----------
+    case : Case
+    pose_graph : PoseGraph
+    """
     radii = pose_graph.radii
     gaps = cdist(case.places, case.places) / np.maximum(radii[:, None] + radii, np.finfo(float).tiny)
     ties, contacts = _Ties.of(case, pose_graph), _contacts(case, pose_graph)
@@ -85,7 +91,7 @@ def expected(case: Case, pose_graph: PoseGraph) -> Expectation:
 
 
 def _contacts(case: Case, pose_graph: PoseGraph) -> list[Pairs]:
-    """Overlaps of the map that the way between them does not bring, by contact."""
+    """Overlaps of the map that the way between does not bring, by contact."""
     radii = pose_graph.radii
     way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(case.places, axis=0), axis=1))])
     reach = radii[:, None] + radii
@@ -95,7 +101,7 @@ def _contacts(case: Case, pose_graph: PoseGraph) -> list[Pairs]:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class _Ties:
-    """True ties of a map: its closures, and how all of them hold it together."""
+    """True ties of a map: the closures, and how all closures hold the map together."""
 
     closures: Pairs
     held: Held
@@ -113,7 +119,7 @@ class _Ties:
         return cls(closures=closures, held=held, radii=pose_graph.radii / unit)
 
     def looseness(self, pairs: Pairs) -> float:
-        """Largest standard deviation between pairs that no closure ties near by, in what their spheres reach."""
+        """Largest standard deviation between pairs that no closure ties near by, in units of the spheres' reach."""
         near = (np.abs(self.closures[:, None] - pairs) <= BESIDE).all(axis=2).any(axis=0)
         far = pairs[~near]
         return float((self.held.deviations(far) / self.radii[far].sum(axis=1)).max(initial=0.0))

@@ -2,7 +2,7 @@
 
 With p and φ small displacements and turns of the keyframes, in the axes of the world, a tie (i, j) holds p_j − p_i −
 φ_i × (x_j − x_i) and φ_j − φ_i, both with a standard deviation of its own, alike in all directions. That needs the true
-places x of the keyframes and nothing of how they look, nor of what the map says.
+places x of the keyframes, and neither their attitude nor the map's estimate.
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ ANCHOR = 1e-4
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Held:
-    """Keyframes and the ties that hold them.
+    """Keyframes and the ties that hold the keyframes.
 
     Attributes
     ----------
     places : (n, d) float
         In ρ.
     part : (n,) int
-        Which keyframes hang together.
+        Groups of keyframes that hang together.
     factor : SuperLU
         Of the information matrix of all displacements and turns.
     """
@@ -50,7 +50,15 @@ class Held:
 
     @classmethod
     def by(cls, places: Array, steps: Pairs, closures: Pairs) -> Held:
-        """Held by steps of odometry and by closures, (s, 2) and (c, 2) int; places are in ρ."""
+        """Held by steps of odometry and by closures, (s, 2) and (c, 2) int; places are in ρ.
+
+        Parameters
+        ----------
+        places : (n, d) float
+            In ρ.
+        steps : (s, 2) int
+        closures : (c, 2) int
+        """
         # what each tie holds, and how well
         n, ties = len(places), np.concatenate([steps, closures])
         lengths = np.maximum(np.linalg.norm(np.diff(places[steps], axis=1)[:, 0], axis=1), LEAST_STEP)

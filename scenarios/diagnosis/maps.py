@@ -1,4 +1,4 @@
-"""A dozen maps: the truth, and the map as diagnosed, its places coloured by kind. Chosen and drawn from the rows."""
+"""A dozen maps: the truth, and the map as diagnosed, with places coloured by kind. Chosen and drawn from the rows."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ N_MAPS, N_COLUMNS = 12, 3
 
 
 def chosen(rows: Sequence[dict[str, Any]]) -> list[Trial]:
-    """One right verdict of every damage, each in another world as far as there are some; then wrong ones."""
+    """A right verdict of every damage, each in another world where possible; then wrong verdicts."""
     found: list[dict[str, Any]] = []
     for damage in dict.fromkeys(row["damage"] for row in known(rows)):
         own = [row for row in known(rows) if row["damage"] == damage and row["verdict"] == row["expected"]]
@@ -49,7 +49,16 @@ def chosen(rows: Sequence[dict[str, Any]]) -> list[Trial]:
 
 
 def described(trial: Trial, data: Path | None, row: dict[str, Any]) -> dict[str, Any]:
-    """What is drawn of a case: plain numbers."""
+    """The drawing of a case: plain numbers.
+
+    Parameters
+    ----------
+    trial : Trial
+    data : Path, optional
+        Folder of all data.
+    row : mapping
+        Of the trial.
+    """
     case = trials.case(trial, data)
     found = diagnose(case.graph, case.values, radii=case.radii)
     keys = found.pose_graph.keys.tolist()
@@ -66,14 +75,28 @@ def described(trial: Trial, data: Path | None, row: dict[str, Any]) -> dict[str,
 
 
 def write(rows: Sequence[dict[str, Any]], data: Path | None, path: Path) -> None:
-    """The chosen maps as JSON."""
+    """The chosen maps as JSON.
+
+    Parameters
+    ----------
+    rows : sequence of mapping
+    data : Path, optional
+        Folder of all data.
+    path : Path
+    """
     row_of = {Trial(row["world"], row["seed"], row["variant"], row["damage"]): row for row in rows}
     found = [described(trial, data, row_of[trial]) for trial in chosen(rows)]
     outputs.write_text(path, json.dumps(found) + "\n")
 
 
 def draw(described_maps: Sequence[dict[str, Any]], path: Path) -> None:
-    """Truth beside map, three cases a row."""
+    """Truth beside map, three cases a row.
+
+    Parameters
+    ----------
+    described_maps : sequence of mapping
+    path : Path
+    """
     n_rows = -(-len(described_maps) // N_COLUMNS)
     figure, axes = plt.subplots(
         n_rows, 2 * N_COLUMNS, figsize=(6 * N_COLUMNS, 3.1 * n_rows + 0.5), layout="constrained", squeeze=False
@@ -93,7 +116,7 @@ def draw(described_maps: Sequence[dict[str, Any]], path: Path) -> None:
 
 
 def _diagnosed(axis: Axes, each: dict[str, Any]) -> None:
-    """The map with its places, those of little weight below the others."""
+    """The map with its places, places of little weight below the others."""
     places = np.array(each["map"])
     is_right = each["verdict"] == each["expected"]
     title = f"{each['damage']}: {each['verdict']}" + ("" if is_right else f"\n(right: {each['expected']})")
@@ -128,6 +151,6 @@ def _flat(places: Array) -> Array:
 
 
 def _interest(shown: Sequence[str], row: dict[str, Any]) -> tuple[bool, int, int]:
-    """What is shown first: an intact map that is right; worlds that are not shown yet; maps with many places."""
+    """The order of choice: an intact map that is right; worlds that are not shown yet; maps with many places."""
     named = sum(place[0] != "incomplete fusion" for place in row["places"])
     return row["damage"] == "nothing" and row["expected"] != "consistent", list(shown).count(row["world"]), -named

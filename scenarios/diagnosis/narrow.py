@@ -1,4 +1,4 @@
-"""Maps of a camera with a narrow field of view: spheres know nothing of where a camera looks, nor of walls beside it.
+"""Maps of a camera with a narrow field of view: spheres know neither the camera's direction nor walls.
 
 The same drives, landmarks and damages as `covisible`, pair by pair, in the worlds that a camera is driven through.
 """
@@ -37,7 +37,16 @@ TURNED = float(np.radians(60))
 
 
 def case(world: str, seed: int, kind: str) -> Case:
-    """A course through one of `WORLDS` with one of `covisible.DAMAGES`, seen by a narrow camera."""
+    """A course through a world with damage, seen by a narrow camera.
+
+    Parameters
+    ----------
+    world : str
+        One of `WORLDS`.
+    seed : int
+    kind : str
+        One of `covisible.DAMAGES`.
+    """
     return covisible.case(world, seed, kind, CAMERA)
 
 
@@ -45,6 +54,12 @@ def overlaps(world: str, seed: int, found: Diagnosis) -> dict[str, Any]:
     """Overlaps that are no edges: how many, of cameras that look elsewhere, and through a wall; places of two kinds.
 
     Of the places: how many are of the kind, and how many of these a camera could tie.
+
+    Parameters
+    ----------
+    world : str
+    seed : int
+    found : Diagnosis
     """
     driven, integrity = course(world, seed), found.integrity
     counts: dict[str, Any] = {}
@@ -58,26 +73,44 @@ def overlaps(world: str, seed: int, found: Diagnosis) -> dict[str, Any]:
 
 
 def turns(driven: Course, pairs: Pairs) -> Array:
-    """Angle between the true looks of two keyframes, (k,) rad."""
+    """Angle between the true looks of two keyframes, (k,) rad.
+
+    Parameters
+    ----------
+    driven : Course
+    pairs : (k, 2) int
+    """
     looks = np.array([pose.rotation().matrix()[:, 0] for pose in driven.truth])
     i, j = pairs.T
     return np.asarray(np.arccos(np.clip(np.einsum("ka,ka->k", looks[i], looks[j]), -1.0, 1.0)))
 
 
 def walled(driven: Course, pairs: Pairs) -> NDArray[np.bool_]:
-    """Whether a surface parts the true places of two keyframes, (k,) bool."""
+    """Whether a surface parts the true places of two keyframes, (k,) bool.
+
+    Parameters
+    ----------
+    driven : Course
+    pairs : (k, 2) int
+    """
     places = np.array([pose.translation() for pose in driven.truth])
     i, j = pairs.T
     return driven.layout.solid.parts(places[i], places[j])
 
 
 def can_be_tied(driven: Course, pairs: Pairs) -> bool:
-    """Whether some pair of keyframes can see the same: no surface between, and looks that are not far apart."""
+    """Whether some pair of keyframes can see the same: no surface between, and looks that are not far apart.
+
+    Parameters
+    ----------
+    driven : Course
+    pairs : (k, 2) int
+    """
     return bool((~walled(driven, pairs) & (turns(driven, pairs) <= TURNED)).any())
 
 
 def paired(rows: Sequence[dict[str, Any]]) -> Iterator[str]:
-    """Lines of Markdown: the same maps seen by the layouts' camera and by the narrow one, side by side."""
+    """Lines of Markdown: the same maps seen by the layouts' camera and by the narrow camera, side by side."""
     of = {
         variant: _counts([row for row in rows if row["variant"] == variant and "failed" not in row])
         for variant in VARIANTS
@@ -89,7 +122,7 @@ def paired(rows: Sequence[dict[str, Any]]) -> Iterator[str]:
 
 
 def _counts(rows: Sequence[dict[str, Any]]) -> dict[str, str]:
-    """What is compared, of the maps of one camera."""
+    """The compared numbers of a camera's maps."""
     right = sum(row["verdict"] == row["expected"] for row in rows)
     open_ = sum(row["verdict"] == "undecided" for row in rows)
     one = [row for row in rows if len(row["ranks"]) == 1]

@@ -1,4 +1,4 @@
-"""Real graphs at their optimum, which is taken for the truth."""
+"""Real graphs at their optimum, taken for the truth."""
 
 from __future__ import annotations
 
@@ -40,7 +40,18 @@ DAMAGES = (damage.NOTHING, damage.DROPPED, damage.FALSE, damage.ODOMETRY)
 
 
 def case(name: str, seed: int, kind: str, data: Path) -> Case:
-    """A graph of `RADII` with one of `DAMAGES`."""
+    """A real graph with damage.
+
+    Parameters
+    ----------
+    name : str
+        One of `RADII`.
+    seed : int
+    kind : str
+        One of `DAMAGES`.
+    data : Path
+        Folder of all data.
+    """
     found, keys, unit_m = intact(name, data)
     random = np.random.default_rng([seed, sorted(RADII).index(name), damage.DAMAGES.index(kind)])
     return damage.damaged(found, kind, random, keys, unit_m)
@@ -48,7 +59,15 @@ def case(name: str, seed: int, kind: str, data: Path) -> Case:
 
 @functools.lru_cache(maxsize=1)
 def intact(name: str, data: Path) -> tuple[Intact, list[int], float]:
-    """A graph at its optimum, its keyframes' keys, and its median radius, m."""
+    """A graph at its optimum, its keyframes' keys, and its median radius, m.
+
+    Parameters
+    ----------
+    name : str
+        One of `RADII`.
+    data : Path
+        Folder of all data.
+    """
     dataset, given = _read(name, data), RADII[name]
     radii = dataset.radii if given is None else given
     optimum = optimised(dataset.graph, dataset.values)

@@ -1,4 +1,4 @@
-"""Maps of odometry and closures, radii given: what most SLAM systems write."""
+"""Maps of odometry and closures with given radii: the output of most SLAM systems."""
 
 from __future__ import annotations
 
@@ -23,7 +23,15 @@ SURE = 1e-4
 
 
 def case(world: str, seed: int, kind: str) -> Case:
-    """A course through a world with one of `DAMAGES`."""
+    """A course through a world with damage.
+
+    Parameters
+    ----------
+    world : str
+    seed : int
+    kind : str
+        One of `DAMAGES`.
+    """
     random = np.random.default_rng([seed, sorted(LAYOUTS).index(world), damage.DAMAGES.index(kind)])
     if kind == damage.BACK:
         driven = out_and_back(world, seed)
@@ -34,7 +42,14 @@ def case(world: str, seed: int, kind: str) -> Case:
 
 
 def intact(driven: Course, random: np.random.Generator, *, with_ties: bool = True) -> Intact:
-    """The map of a course with all that a detector would tie."""
+    """The map of a course with all that a detector would tie.
+
+    Parameters
+    ----------
+    driven : Course
+    random : np.random.Generator
+    with_ties : bool
+    """
     passes = second_passes(driven) if with_ties else []
     noise = told(MATCH, driven)
     revisits = tuple(
@@ -55,7 +70,7 @@ def intact(driven: Course, random: np.random.Generator, *, with_ties: bool = Tru
 
 
 def odometry(driven: Course) -> gtsam.NonlinearFactorGraph:
-    """Its steps as factors, in order."""
+    """The steps of a course as factors, in order."""
     graph, noise = gtsam.NonlinearFactorGraph(), told(driven.sigmas, driven)
     for i, step in enumerate(driven.steps):
         graph.add(between(i, i + 1, flat(step, driven), noise))
@@ -63,7 +78,7 @@ def odometry(driven: Course) -> gtsam.NonlinearFactorGraph:
 
 
 def identity(driven: Course) -> Callable[[np.random.Generator], gtsam.Pose2 | gtsam.Pose3]:
-    """A matcher that takes two places for one."""
+    """A matcher that takes two places for the same place."""
 
     def measured(random: np.random.Generator) -> gtsam.Pose2 | gtsam.Pose3:
         return flat(gtsam.Pose3.Expmap(random.normal(0.0, MATCH)), driven)
@@ -72,18 +87,37 @@ def identity(driven: Course) -> Callable[[np.random.Generator], gtsam.Pose2 | gt
 
 
 def told(sigmas: Array, driven: Course) -> gtsam.noiseModel.Base:
-    """The noise model of sigmas in GTSAM's order in space."""
+    """The noise model of sigmas in GTSAM's order in space.
+
+    Parameters
+    ----------
+    sigmas : (6,) float
+        In GTSAM's order in space.
+    driven : Course
+    """
     own = sigmas[[3, 4, 2]] if driven.is_planar else sigmas
     return gtsam.noiseModel.Diagonal.Sigmas(np.maximum(own, SURE))
 
 
 def flat(pose: gtsam.Pose3, driven: Course) -> gtsam.Pose2 | gtsam.Pose3:
-    """The pose as the course's map has it."""
+    """The pose on the course's map, planar or spatial.
+
+    Parameters
+    ----------
+    pose : gtsam.Pose3
+    driven : Course
+    """
     return gtsam.Pose2(pose.x(), pose.y(), pose.rotation().yaw()) if driven.is_planar else pose
 
 
 def values(poses: list[gtsam.Pose3], driven: Course) -> gtsam.Values:
-    """Poses under the keys 0, 1, …"""
+    """Poses under the keys 0, 1, …
+
+    Parameters
+    ----------
+    poses : list of gtsam.Pose3
+    driven : Course
+    """
     found = gtsam.Values()
     for key, pose in enumerate(poses):
         found.insert(key, flat(pose, driven))

@@ -1,4 +1,4 @@
-"""Pairs of keyframes by where they lie on the track: independent of how the package groups them."""
+"""Pairs of keyframes by their positions on the track: independent of the package's own grouping."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Stretches = tuple[tuple[int, int], tuple[int, int]]
 
 
 def grouped(pairs: Pairs) -> list[Pairs]:
-    """Those that lead from neighbour to neighbour on both stretches, together: (k, 2) int each."""
+    """Pairs that lead from neighbour to neighbour on both stretches, together: (k, 2) int each."""
     if not len(pairs):
         return []
     near = KDTree(pairs).query_pairs(NEIGHBOURS, p=np.inf, output_type="ndarray")
@@ -37,16 +37,37 @@ def stretches(pairs: Pairs) -> Stretches:
 
 
 def nearest(gaps: Array, ends: Stretches) -> float:
-    """How near two stretches, widened, come in truth; `gaps` are true distances in the sum of the radii, (n, n)."""
+    """How near two stretches, widened, come in truth; `gaps` are true distances in the sum of the radii, (n, n).
+
+    Parameters
+    ----------
+    gaps : (n, n) float
+        True distances in the sum of the radii.
+    ends : Stretches
+    """
     (a, b), (c, d) = ((max(first - WIDENED, 0), last + WIDENED + 1) for first, last in ends)
     return float(gaps[a:b, c:d].min())
 
 
 def is_real(gaps: Array, ends: Stretches) -> bool:
-    """Whether two stretches run through the same space in truth."""
+    """Whether two stretches run through the same space in truth.
+
+    Parameters
+    ----------
+    gaps : (n, n) float
+        True distances in the sum of the radii.
+    ends : Stretches
+    """
     return nearest(gaps, ends) <= REAL_WITHIN
 
 
 def any_chance(gaps: Array, pairs: Pairs) -> bool:
-    """Whether some pair is of keyframes that are apart in truth."""
+    """Whether some pair is of keyframes that are apart in truth.
+
+    Parameters
+    ----------
+    gaps : (n, n) float
+        True distances in the sum of the radii.
+    pairs : (k, 2) int
+    """
     return any(not is_real(gaps, ((i, i), (j, j))) for i, j in pairs.tolist())

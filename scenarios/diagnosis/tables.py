@@ -1,4 +1,4 @@
-"""Rows as Markdown: verdicts against what is right, by damage; kinds of places; false closures."""
+"""Rows as Markdown: verdicts against the truth, by damage; kinds of places; false closures."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Rows = Sequence[dict[str, Any]]
 
 
 def confusion(rows: Rows) -> str:
-    """What is right against what was said, and the share right among all."""
+    """Right verdicts against given verdicts, and the share right among all."""
     count = Counter((row["expected"], row["verdict"]) for row in known(rows))
     lines = [_line(["right \\ said", *VERDICTS, "right of decided", "right of all"]), _rule(7)]
     for right in EXPECTED:
@@ -27,7 +27,14 @@ def confusion(rows: Rows) -> str:
 
 
 def by(rows: Rows, name: str) -> str:
-    """Shares right by what a column holds, and the confusions."""
+    """Shares right by the values of a column, and the confusions.
+
+    Parameters
+    ----------
+    rows : Rows
+    name : str
+        Column of the rows.
+    """
     lines = [_line([name, "cases", "right of decided", "right of all", "undecided", "wrong: right → said"]), _rule(6)]
     for value in dict.fromkeys(row[name] for row in known(rows)):
         own = [row for row in known(rows) if row[name] == value]
@@ -67,7 +74,7 @@ def kinds(rows: Rows) -> str:
 
 
 def closures(rows: Rows) -> str:
-    """Where false closures stand among a map's closures, and who is called false."""
+    """The rank of false closures among a map's closures, and closures called false."""
     heads = ["false closures", "maps", "all of them least probable", "all called false", "true ones called false"]
     lines = [_line(heads), _rule(5)]
     tests: dict[str, Callable[[dict[str, Any]], bool]] = {

@@ -1,4 +1,4 @@
-"""What is tried: damages of maps, and one row of numbers for each."""
+"""The trials: damages of maps, and a row of numbers for each."""
 
 from __future__ import annotations
 
@@ -38,7 +38,17 @@ class Trial(NamedTuple):
 def world_trials(
     worlds: Sequence[str], seeds: Sequence[int], undamaged_seeds: Sequence[int], covisible_seeds: Sequence[int]
 ) -> Iterator[Trial]:
-    """Every damage in every world; more maps without."""
+    """Every damage in every world; more maps without.
+
+    Parameters
+    ----------
+    worlds : sequence of str
+    seeds : sequence of int
+    undamaged_seeds : sequence of int
+        Of further maps without damage.
+    covisible_seeds : sequence of int
+        Of maps with landmarks.
+    """
     for seed, world, kind in product(sorted({*seeds, *undamaged_seeds}), worlds, damage.DAMAGES):
         if seed in (undamaged_seeds if kind == damage.NOTHING else seeds):
             yield Trial(world, seed, SPARSE, kind)
@@ -47,13 +57,13 @@ def world_trials(
 
 
 def narrow_trials(seeds: Sequence[int]) -> Iterator[Trial]:
-    """Every damage in the worlds of a camera, seen by a wide and by a narrow one."""
+    """Every damage in the worlds of a camera, seen by a wide and by a narrow camera."""
     for seed, world, kind, variant in product(seeds, narrow.WORLDS, covisible.DAMAGES, narrow.VARIANTS):
         yield Trial(world, seed, variant, kind)
 
 
 def real_trials() -> list[Trial]:
-    """Every damage of every real graph, drawn anew where there is something to draw; the slow ones last."""
+    """Every damage of every real graph, drawn anew where the damage is random; the slow graphs last."""
     draws = {damage.FALSE: FALSE_SEEDS, damage.DROPPED: DROPPED_SEEDS}
     found = []
     for name, kind in product(real.RADII, real.DAMAGES):
@@ -63,7 +73,14 @@ def real_trials() -> list[Trial]:
 
 
 def case(trial: Trial, data: Path | None) -> Case:
-    """What is diagnosed."""
+    """The case of a trial.
+
+    Parameters
+    ----------
+    trial : Trial
+    data : Path, optional
+        Folder of all data.
+    """
     if trial.variant == REAL:
         if data is None:
             raise ValueError("expected the folder of the real graphs, got none; give --data")
@@ -73,7 +90,14 @@ def case(trial: Trial, data: Path | None) -> Case:
 
 
 def row(trial: Trial, data: Path | None) -> dict[str, Any]:
-    """Build, damage, diagnose, compare."""
+    """Build, damage, diagnose, compare.
+
+    Parameters
+    ----------
+    trial : Trial
+    data : Path, optional
+        Folder of all data.
+    """
     try:
         built = case(trial, data)
         begun = time.perf_counter()
@@ -100,14 +124,20 @@ def _is_by_camera(trial: Trial) -> bool:
 
 
 def verdict(trial: Trial, right: Expectation) -> str:
-    """What the truth says; of real graphs, what is known besides."""
+    """The verdict by the truth; of real graphs, by further knowledge.
+
+    Parameters
+    ----------
+    trial : Trial
+    right : Expectation
+    """
     if trial.world in real.INCOMPLETE and right.verdict == "consistent":
         return "incomplete"
     return right.verdict
 
 
 def _places(found: Diagnosis, right: Expectation) -> dict[str, Any]:
-    """Places by kind, and of each its kind, whether it is real by the truth, and its probability."""
+    """Places by kind, and for each the kind, whether the place is real by the truth, and the probability."""
     kinds = [place.kind for place in found.places]
     each = [
         [place.kind, is_real(right.gaps, place.keyframes), _short(place.probability), _short(place.allowance_m)]
@@ -117,7 +147,7 @@ def _places(found: Diagnosis, right: Expectation) -> dict[str, Any]:
 
 
 def _closures(built: Case, found: Diagnosis, right: Expectation) -> dict[str, Any]:
-    """Where the false closures stand among all, who is called false, and whether overlaps give them away."""
+    """The rank of the false closures, the closures called false, and whether overlaps give them away."""
     order = [closure.slot for closure in found.closures]
     called = {closure.slot for closure in found.closures if closure.is_false}
     false, least = set(built.false_slots), next(iter(found.closures), None)

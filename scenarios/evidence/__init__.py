@@ -1,1 +1,1 @@
-"""What the gate's evidence is worth: how it is fitted on training seeds, how its probabilities hold on fresh ones."""
+"""The worth of the gate's evidence: fits on training seeds, and probabilities checked on fresh seeds."""

@@ -1,8 +1,8 @@
 """Of closures that the gate calls 80 % probable, are 80 % true? On seeds that no constant was chosen on.
 
-Ray-cast worlds, asked all at once as `gate_graph` does and revisit by revisit as they come, and standard graphs with
-outliers. A temperature T, by which log odds would be divided, is fitted on training seeds; whether it helps is seen on
-the held-out ones.
+Ray-cast worlds, asked all at once as `gate_graph` does and revisit by revisit in time order, and standard graphs with
+outliers. A temperature T, a divisor of the log odds, is fitted on training seeds; whether T helps is seen on
+the held-out seeds.
 """
 
 from __future__ import annotations
@@ -34,19 +34,28 @@ AT_ONCE, IN_TIME = "at once", "in time"
 
 
 class Trial(NamedTuple):
-    """A world of `LAYOUTS` or the path of a standard graph, a seed, and how it is asked or how outliers lie."""
+    """A world of `LAYOUTS` or the path of a standard graph, a seed, the order of asking or the outliers' pattern."""
 
     world: str
     seed: int
     setting: str
 
     def key(self) -> Trial:
-        """The trial as its row names it, wherever the data lies."""
+        """The trial under the name in its row, wherever the data lies."""
         return self._replace(world=Path(self.world).stem)
 
 
 def trials(names: Sequence[str], seeds: Sequence[int], graphs: Sequence[Path] = ()) -> Iterator[Trial]:
-    """Both orders of every drive; every kind of outlier in standard graphs, as many as inliers; labelled real loops."""
+    """Both orders of every drive; every kind of outlier in standard graphs, as many as inliers; labelled real loops.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Worlds.
+    seeds : sequence of int
+    graphs : sequence of Path
+        Standard graphs.
+    """
     orders, kinds = (AT_ONCE, IN_TIME), field.KINDS
     yield from (Trial(world, seed, order) for seed, world, order in product(seeds, names, orders))
     for path in graphs:
@@ -78,7 +87,7 @@ def at_once(given: Problem) -> list[tuple[float, bool]]:
 
 
 def in_time(given: Problem) -> list[tuple[float, bool]]:
-    """Every revisit as it comes, onto a map of all true closures before."""
+    """Every revisit in time order, onto a map of all earlier true closures."""
     gate = pgti.LoopClosureGate()
     return [
         (decision.log_odds, is_true)
@@ -90,7 +99,14 @@ def in_time(given: Problem) -> list[tuple[float, bool]]:
 
 
 def labelled(given: near_misses.Loops, radius_m: float) -> list[tuple[float, bool]]:
-    """Real loops, together."""
+    """Real loops, together.
+
+    Parameters
+    ----------
+    given : near_misses.Loops
+    radius_m : float
+        Free radius, m.
+    """
     slots = given.slots.tolist()
     decided = pgti.gate_graph(given.graph, given.values, radius_m, closures=slots).decisions
     return [(decided[slot].log_odds, is_true) for slot, is_true in zip(slots, given.true.tolist(), strict=True)]
@@ -103,7 +119,13 @@ def gathered(rows: Sequence[dict[str, Any]]) -> tuple[Array, NDArray[np.bool_]]:
 
 
 def temperature(log_odds: Array, true: NDArray[np.bool_]) -> float:
-    """T that makes log odds / T most likely."""
+    """T that makes log odds / T most likely.
+
+    Parameters
+    ----------
+    log_odds : (k,) float
+    true : (k,) bool
+    """
 
     def misfit(log_t: float) -> float:
         scaled = log_odds * np.exp(-log_t)
@@ -113,14 +135,29 @@ def temperature(log_odds: Array, true: NDArray[np.bool_]) -> float:
 
 
 def calibration_error(probability: Array, true: NDArray[np.bool_], *, equal_mass: bool) -> float:
-    """Mean distance between probability and share of true ones in ten bins (Naeini et al., AAAI 2015)."""
+    """Mean distance between probability and share of true closures in ten bins (Naeini et al., AAAI 2015).
+
+    Parameters
+    ----------
+    probability : (k,) float
+    true : (k,) bool
+    equal_mass : bool
+        Bins of equally many closures, not of equal width.
+    """
     inside = bins(probability, equal_mass=equal_mass)
     gaps = [abs(probability[own].mean() - true[own].mean()) * own.sum() for own in inside if own.any()]
     return float(sum(gaps) / len(probability))
 
 
 def bins(probability: Array, *, equal_mass: bool) -> list[NDArray[np.bool_]]:
-    """Which of some probabilities are in each bin, of equal width or of equally many."""
+    """The members of each bin of probabilities.
+
+    Parameters
+    ----------
+    probability : (k,) float
+    equal_mass : bool
+        Bins of equally many, not of equal width.
+    """
     place = np.minimum((BINS * probability).astype(int), BINS - 1)
     if equal_mass:
         place = BINS * np.argsort(np.argsort(probability, kind="stable")) // len(probability)
@@ -128,7 +165,15 @@ def bins(probability: Array, *, equal_mass: bool) -> list[NDArray[np.bool_]]:
 
 
 def report(held_out: Sequence[dict[str, Any]], training: Sequence[dict[str, Any]]) -> Iterator[str]:
-    """Expected calibration error by kind of case, with and without a temperature, and the shares by probability."""
+    """Expected calibration error by kind of case, with and without a temperature, and the shares by probability.
+
+    Parameters
+    ----------
+    held_out : sequence of mapping
+        Rows of held-out seeds.
+    training : sequence of mapping
+        Rows of training seeds.
+    """
     t = temperature(*gathered(training))
     yield f"temperature of {len(gathered(training)[0])} closures of training seeds: {t:.2f}\n"
     head = "ECE, equal mass | equal width"
@@ -150,7 +195,13 @@ def report(held_out: Sequence[dict[str, Any]], training: Sequence[dict[str, Any]
 
 
 def draw(rows: Sequence[dict[str, Any]], path: Path) -> None:
-    """Share of true closures against probability, of all with 95 % intervals, and how many there are."""
+    """Share of true closures against probability, of all with 95 % intervals, and the number in each bin.
+
+    Parameters
+    ----------
+    rows : sequence of mapping
+    path : Path
+    """
     figure, (above, below) = plt.subplots(
         2, 1, figsize=(6.8, 6.0), layout="constrained", sharex=True, height_ratios=[3, 1]
     )
@@ -175,7 +226,7 @@ def draw(rows: Sequence[dict[str, Any]], path: Path) -> None:
 
 
 def _kinds(rows: Sequence[dict[str, Any]]) -> Iterator[tuple[str, list[dict[str, Any]]]]:
-    """All rows, and those of each kind of case that there are."""
+    """All rows, and the rows of each kind of case."""
     real = [row for row in rows if row["setting"] in field.KINDS]
     near = [row for row in rows if row["setting"].endswith(" m")]
     drawn = [(f"worlds, {o}", [row for row in rows if row["setting"] == o]) for o in (AT_ONCE, IN_TIME)]

@@ -1,8 +1,8 @@
-"""What a rise of the score at touching free space says: the fit behind `pgti_gtsam.gate.terms.contact_rise.RISE`.
+"""The evidence in a rise of the score at touching free space: the fit behind `pgti_gtsam.gate.terms.contact_rise.RISE`.
 
-Ray-cast worlds of training seeds, as many false closures as true ones. Each revisit is asked as it comes, onto a map
-that ties all true closures before. Where the drift leaves doubt, the revisit is tied and the rise is measured. What the
-rise adds to the drift's log odds is a line of it, as likely as may be with most true revisits still accepted.
+Ray-cast worlds of training seeds, as many false closures as true closures. Each revisit is asked in time order, onto a
+map that ties all earlier true closures. Where the drift leaves doubt, the revisit is tied and the rise is measured. The
+log odds of the rise, added to the drift's, are linear, as likely as possible with most true revisits still accepted.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ def row(trial: Trial) -> dict[str, Any]:
 
 
 class Arrival(NamedTuple):
-    """A map that ties all true closures before a revisit, the revisit's closures, and which of these are true."""
+    """A map that ties all true closures before a revisit, the revisit's closures, and the truth on each."""
 
     reference: ReferenceMap
     closures: list[gtsam.NonlinearFactorGraph]
@@ -64,7 +64,13 @@ class Arrival(NamedTuple):
 
 
 def arrivals(given: Problem, gate: pgti.LoopClosureGate) -> Iterator[Arrival]:
-    """Revisits as they come: closures of one that say the same, by the last of them."""
+    """Revisits in time order: closures of a revisit that agree, by the last of them.
+
+    Parameters
+    ----------
+    given : Problem
+    gate : pgti.LoopClosureGate
+    """
     offered = [checked_closure(closure, given.values) for closure in given.closures]
     bare = gate.reference_map(given.graph, given.values, given.radii)
     parties = [ties - bare.n_ties for ties in bare.revisits(bare.offered(offered)[0])]
@@ -77,7 +83,14 @@ def arrivals(given: Problem, gate: pgti.LoopClosureGate) -> Iterator[Arrival]:
 
 
 def tied_rise(reference: ReferenceMap, closures: Sequence[gtsam.NonlinearFactorGraph]) -> float:
-    """Rise of the worst keyframe's score when some closures are tied."""
+    """Rise of the worst keyframe's score when some closures are tied.
+
+    Parameters
+    ----------
+    reference : ReferenceMap
+    closures : sequence of gtsam.NonlinearFactorGraph
+        Of a revisit.
+    """
     offered, _ = reference.offered(closures)
     tied = offered.model.settled(np.ones(len(offered.active), dtype=bool), offered)
     maps = CandidateMaps(reference=reference, beta=0.5)
@@ -85,10 +98,10 @@ def tied_rise(reference: ReferenceMap, closures: Sequence[gtsam.NonlinearFactorG
 
 
 def fitted(revisits: Array) -> Array:
-    """Coefficients of `RISE`, (2,): of a grid those most likely, of (k, 3) revisits as `row` has them.
+    """Coefficients of `RISE`, (2,): the most likely of a grid, of (k, 3) revisits as from `row`.
 
-    The most likely ones of all leave a third of the true revisits undecided, and a gate that waits for more evidence
-    ties too little to ever get it. So a share `PASS` of the true ones has to be accepted.
+    The most likely coefficients leave a third of the true revisits undecided, and a gate that waits for more evidence
+    then ties too little to ever get more. So a share `PASS` of the true revisits has to be accepted.
     """
     found = max(product(*GRID), key=lambda c: _merit(np.array(c), revisits))
     return np.array(found)
@@ -103,12 +116,18 @@ def _merit(coefficients: Array, revisits: Array) -> float:
 
 
 def told(coefficients: Array, revisits: Array) -> Array:
-    """Log odds of revisits by both kinds of evidence, (k,)."""
+    """Log odds of revisits by both kinds of evidence, (k,).
+
+    Parameters
+    ----------
+    coefficients : (2,) float
+    revisits : (k, 3) float
+    """
     return np.asarray(revisits[:, 0] + coefficients[0] + coefficients[1] * np.maximum(revisits[:, 1], 0.0))
 
 
 def report(rows: Sequence[dict[str, Any]]) -> Iterator[str]:
-    """The fit, and how many revisits are true by their rise."""
+    """The fit, and the number of true revisits by rise."""
     own = gathered(rows)
     fit, is_true = fitted(own), own[:, 2] > 0
     yield f"of {len(own)} revisits {int(is_true.sum())} are true\n"

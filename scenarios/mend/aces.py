@@ -3,7 +3,7 @@
 The error is Kümmerle's: how far relations of the map lie from the hand-checked ones (Autonomous Robots 27, 2009,
 doi:10.1007/s10514-009-9155-6). Beside the mended map stands graduated non-convexity (GTSAM's GNC, truncated least
 squares) with what brute force finds: every pair of scans that the odometry has within 5 m of each other, aligned by
-the same generalised ICP, one scan to one scan, and kept where three points in five find a counterpart.
+the same generalised ICP, scan to scan, and kept where three points in five find a counterpart.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ def _odometry(dataset: Dataset) -> gtsam.NonlinearFactorGraph:
 
 
 def _missed(values: gtsam.Values, attempt: Attempt) -> float:
-    """How far a tie lies from what a map says, m."""
+    """Distance between a tie and the map's pose, m."""
     i, j = attempt.keys
     return float(np.linalg.norm(values.atPose2(i).between(values.atPose2(j)).between(attempt.pose).translation()))
 

@@ -16,7 +16,13 @@ from scenarios.mend.logs import chained, damaged
 
 
 def draw(log: Path, out: Path) -> None:
-    """Mend a scan graph without its loops, and draw both maps."""
+    """Mend a scan graph without its loops, and draw both maps.
+
+    Parameters
+    ----------
+    log : Path
+    out : Path
+    """
     dataset = datasets.read(log)
     graph, _ = damaged(dataset, "odometry", np.random.default_rng(0))
     mended = pgti.mend(graph, chained(dataset), pgti.scans_of(dataset.scans), radii=dataset.radii)

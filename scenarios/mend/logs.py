@@ -1,7 +1,7 @@
-"""fr079 and mit-cscail with their loops thinned to a tenth or all gone, some of the rest made false: mended by scans.
+"""fr079 and mit-cscail with loops thinned to a tenth or removed, and some of the rest made false: mended by scans.
 
 Odometry is chained, so that its drift is back. Published poses are no ground truth, but what the published loops and
-their makers' optimiser made of the log: a tie counts as false where it misses them by more than half a metre. How
+their makers' optimiser made of the log: a tie counts as false where the tie differs by more than half a metre. How
 well scans fit each other, whoever tied them, is told by the number of cells of 10 cm that all readings fall into: the
 sharper a map, the fewer.
 """
@@ -35,7 +35,15 @@ CELL_M = 0.1
 
 
 def row(path: Path, kind: str, seed: int) -> dict[str, Any]:
-    """Mend a log of which a kind of damage is made."""
+    """Mend a damaged log.
+
+    Parameters
+    ----------
+    path : Path
+    kind : str
+        Kind of damage.
+    seed : int
+    """
     dataset = datasets.read(path)
     graph, false = damaged(dataset, kind, np.random.default_rng(seed))
     started = time.process_time()
@@ -73,7 +81,15 @@ def row(path: Path, kind: str, seed: int) -> dict[str, Any]:
 
 
 def damaged(dataset: Dataset, kind: str, random: np.random.Generator) -> tuple[gtsam.NonlinearFactorGraph, set[int]]:
-    """The graph of a kind, and the slots of its false loops: each of these measures what another loop does."""
+    """The graph of a kind, and the slots of its false loops: each false loop measures another loop's pose.
+
+    Parameters
+    ----------
+    dataset : Dataset
+    kind : str
+        Kind of damage.
+    random : np.random.Generator
+    """
     loops = np.array(dataset.closures)
     n_kept = {"intact": len(loops), "odometry": 0}.get(kind, len(loops) // 10)
     kept = random.choice(loops, n_kept, replace=False).tolist()

@@ -1,4 +1,4 @@
-"""All experiments, and the JSON that they are kept in: what is known is not run again."""
+"""All experiments with their JSON file: known rows are not run again."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ Found = dict[str, list[dict[str, Any]]]
 
 
 def run(data: Path | None, seeds: Sequence[int], out: Path, tell: Callable[[str], None]) -> Found:
-    """Run what is not in `out` yet, and write each row as soon as it is there.
+    """Run the experiments missing in `out`, and write each row as soon as known.
 
     Parameters
     ----------
     data : Path or None
         Folder of all data; worlds only without.
     seeds : sequence of int
-        Of thinned loops and of drives; logs without loops, and intact ones, are run once.
+        Of thinned loops and of drives; logs without loops, and intact logs, are run once.
     """
     found: Found = json.loads(out.read_text(encoding="utf-8")) if out.is_file() else {}
 

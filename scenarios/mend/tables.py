@@ -1,4 +1,4 @@
-"""Tables of what mending did, from the JSON of the runs."""
+"""Tables of mending, from the JSON of the runs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Ray-cast worlds with a cloud a keyframe on disk, mended by the command line; and what a naive matcher would tie.
+"""Ray-cast worlds with a cloud a keyframe on disk, mended by the command line; and the ties of a naive matcher.
 
 The naive matcher takes every two keyframes that look alike and that ICP aligns (`worlds.appearance`), as a pipeline
 without a gate does. In storeys of one plan all floors look alike.
@@ -39,7 +39,13 @@ LIDAR = Sensor(
 
 
 def row(world: str, seed: int) -> dict[str, Any]:
-    """Mend the odometry of a drive by its clouds."""
+    """Mend the odometry of a drive by its clouds.
+
+    Parameters
+    ----------
+    world : str
+    seed : int
+    """
     driven = worlds.drive(world, seed)
     radius = float(np.median([radius for radius in driven.radii.values() if radius > 0]))
     with tempfile.TemporaryDirectory() as folder:

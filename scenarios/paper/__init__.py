@@ -15,7 +15,17 @@ FALSE_LOOP_SEED = 0
 
 
 def run(data: Path | None, folder: Path, tell: Callable[[str], None]) -> dict[str, Any]:
-    """Everything but the benchmark of section 8; figures and `paper.json` go to the folder."""
+    """Everything but the benchmark of section 8; figures and `paper.json` go to the folder.
+
+    Parameters
+    ----------
+    data : Path, optional
+        Folder of all data.
+    folder : Path
+        Folder of the results.
+    tell : callable
+        Called with a line of progress.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     tell("section 6.2: curves")
     found: dict[str, Any] = {"curves": curves.run(folder)}

@@ -1,4 +1,4 @@
-"""Section 8: several robots in one map, and control points, by which metric and topological errors are told apart."""
+"""Section 8: several robots in a common map, and control points, which separate metric from topological errors."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ OPEN = [(0, 0), (120, 0), (120, 80), (240, 80), (240, 160)]
 
 
 def robots() -> list[dict[str, Any]]:
-    """Two robots whose ways share a stretch: each alone, and merged with no tie, one tie, and all ties between them."""
+    """Two robots whose ways share a stretch: each alone, and merged with no tie, a single tie, and all ties between."""
     first, second = way(LAP[:-2] + [(0, 30)], N), way(BESIDE, N)
     own = covisible(N, NEIGHBOURS * N)
     drives = {"first robot": first, "second robot": second}
@@ -64,7 +64,13 @@ def control_points() -> list[dict[str, Any]]:
 
 
 def held(true: Positions, drifted: Positions) -> Positions:
-    """The optimum of drifted odometry with the true position known at every so many-th keyframe and at the last."""
+    """The optimum of drifted odometry with the true position known at every so many-th keyframe and at the last.
+
+    Parameters
+    ----------
+    true : (n, 2) float
+    drifted : (n, 2) float
+    """
     graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
     poses = [gtsam.Pose2(x, y, 0) for x, y in drifted]
     for key, pose in enumerate(poses):

@@ -1,4 +1,4 @@
-"""Section 6.2: Fig. 4 on the stereo drive of KITTI 00, Fig. 5 on a drive like KITTI 05, and what averaging blurs."""
+"""Section 6.2: Fig. 4 on the stereo drive of KITTI 00, Fig. 5 on a drive like KITTI 05, and the blur of averaging."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def like_kitti_05() -> Replay:
 
 
 def run(folder: Path) -> dict[str, Any]:
-    """Replay both, draw them, and say what answers to insertions and what averaging blurs."""
+    """Replay both, draw both, and say which metrics answer to insertions and how averaging blurs."""
     found = {}
     for name, title, grown in (
         ("figure_4", "KITTI 00, stereo", stereo()),
@@ -48,14 +48,14 @@ def run(folder: Path) -> dict[str, Any]:
 
 
 def bursts(grown: Replay) -> list[tuple[int, int]]:
-    """First and last keyframe of each run of insertions; runs less than ten keyframes apart count as one."""
+    """First and last keyframe of each run of insertions; runs less than ten keyframes apart are joined."""
     at = grown.curve("n_keyframes")[grown.insertion_signal].astype(int)
     breaks = np.flatnonzero(np.diff(at) > 10)
     return [(int(run[0]), int(run[-1])) for run in np.split(at, breaks + 1)] if len(at) else []
 
 
 def blur(grown: Replay) -> list[dict[str, float]]:
-    """Z̄, Λ and the stable score after the first burst, and what is left of each where no edge was inserted since."""
+    """Z̄, Λ and the stable score after the first burst, and the rest of each where no edge was inserted since."""
     at = grown.curve("n_keyframes").astype(int).tolist()
     curves = {name: grown.curve(name) for name in ("mean_score", "score", "stable_score")}
     first = at.index(COMPARED[0])
@@ -80,7 +80,7 @@ def markdown(found: dict[str, Any]) -> list[str]:
 
 
 def blur_markdown(found: dict[str, Any]) -> list[str]:
-    """What Z̄, Λ and the stable score keep between the two bursts of Fig. 5."""
+    """The share of Z̄, Λ and the stable score left between the two bursts of Fig. 5."""
     lines = ["| keyframes | Z̄ | kept | Λ | kept | stable score | kept |", "|---|---|---|---|---|---|---|"]
     for row in found["figure_5"]["blur"]:
         cells = [f"{row[name]:.3f} | {row[f'{name}_kept']:.2f}" for name in ("mean_score", "score", "stable_score")]

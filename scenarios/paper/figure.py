@@ -17,7 +17,14 @@ from pgti_gtsam import outputs
 
 
 def draw_maps(found: Sequence[dict[str, Any]], path: Path) -> None:
-    """One map a row of the table, brighter where ζ is larger, inserted edges in red."""
+    """A map for each row of the table, brighter where ζ is larger, inserted edges in red.
+
+    Parameters
+    ----------
+    found : sequence of mapping
+        Rows of the table, with maps.
+    path : Path
+    """
     columns = 4
     height = -(-len(found) // columns)
     figure, axes = plt.subplots(height, columns, figsize=(14, 3.3 * height), layout="constrained", squeeze=False)
@@ -41,7 +48,14 @@ def draw_maps(found: Sequence[dict[str, Any]], path: Path) -> None:
 
 
 def draw_growth(found: Sequence[dict[str, Any]], path: Path) -> None:
-    """Each score, relative to the small map's, against the map's size: away from the defect, and at its own end."""
+    """Each score, relative to the small map's, against the map's size: away from the defect, and at its own end.
+
+    Parameters
+    ----------
+    found : sequence of mapping
+        Rows of `growth`.
+    path : Path
+    """
     names = {"score": "Λ", "stable_score": "stable score", "open_stable_score": "stable score, open ends"}
     figure, axes = plt.subplots(2, len(names), figsize=(11, 5.6), layout="constrained", sharex=True, sharey=True)
     for line, end, where in zip(axes, ("far", "near"), ("away from the defect", "at the defect's end"), strict=True):

@@ -1,4 +1,4 @@
-"""Section 7: what scores keep of a defect while the map grows, away from it and at its own end."""
+"""Section 7: the scores of a defect while the map grows, away from the defect and at the defect's own end."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def second_pass() -> Positions:
 
 
 def side_loop() -> Positions:
-    """A loop of 30 m that ends where it began."""
+    """A loop of 30 m that ends at its start."""
     return way([(0, 0), (60, 0), (60, 8), (53, 8), (53, -35)], SMALL)
 
 
@@ -95,7 +95,19 @@ def run(tell: Callable[[str], None]) -> list[dict[str, Any]]:
 def grown(name: str, positions: Positions, growth: int, end: str, ties: int = NEIGHBOURS) -> pgti.PoseGraph:
     """The small map with a straight way before its beginning, far from the defect, or behind its end.
 
-    Keyframes that were added are tied to as many next ones as `ties` says.
+    Parameters
+    ----------
+    name : str
+        Kind of defect.
+    positions : (n, 2) float
+        Of the small map.
+    growth : int
+        Keyframes to add.
+    end : str
+        "far" or "near", where the map grows.
+    ties : int
+        Next keyframes to which each added keyframe is tied.
+
     """
     added = (growth - 1) * len(positions)
     steps = np.arange(1, added + 1)[:, None]
@@ -109,7 +121,7 @@ def grown(name: str, positions: Positions, growth: int, end: str, ties: int = NE
 
 
 def scores(graph: pgti.PoseGraph) -> dict[str, float]:
-    """The paper's score, the stable one, both of collisions, and the stable one with open ends."""
+    """The paper's score, the stable score, both of collisions, and the stable score with open ends."""
     integrity = pgti.assess(graph)
     return {
         "score": integrity.score,
@@ -123,8 +135,13 @@ def scores(graph: pgti.PoseGraph) -> dict[str, float]:
 def open_stable_score(graph: pgti.PoseGraph, merged: Pairs) -> float:
     """The stable score of a map whose track goes on at both ends, tied as densely as its median keyframe is.
 
-    At the end of a track heat is thrown back, and all of it comes from one side; once the map grows there it is not.
-    With a virtual way at both ends, in both graphs, the ends are as the middle is, whatever is built on later.
+    At the end of a track heat is reflected, and all heat comes from one side; once the map grows there neither holds.
+    With a virtual way at both ends, in both graphs, the ends are like the middle, whatever is added later.
+
+    Parameters
+    ----------
+    graph : pgti.PoseGraph
+    merged : (m, 2) int
     """
     n = len(graph)
     reach = max(1, round(float(np.median(np.bincount(graph.edges.ravel(), minlength=n))) / 2))
@@ -139,7 +156,7 @@ def open_stable_score(graph: pgti.PoseGraph, merged: Pairs) -> float:
 
 
 def markdown(found: list[dict[str, Any]]) -> list[str]:
-    """What each score keeps when the map has grown to its largest, and the least that it kept on the way."""
+    """The share of each score when the map has grown to its largest, and the smallest share on the way."""
     lines = ["| defect | grown | " + " | ".join(SCORES.values()) + " |", "|---|---|" + "---|" * len(SCORES)]
     others = {f"near, {ties} ties": f"at its end, tied to the next {ties}" for ties in OTHER_TIES}
     for defect in dict.fromkeys(row["defect"] for row in found):

@@ -21,7 +21,14 @@ FIRST_SEED, RADIUS_M = 100, 1.0
 
 
 def winding(seed: int, n: int) -> Positions:
-    """A drive that winds about its start and crosses itself, a metre a step: (n, 2) m."""
+    """A drive that winds about its start and crosses its own way, a metre a step: (n, 2) m.
+
+    Parameters
+    ----------
+    seed : int
+    n : int
+        Keyframes.
+    """
     random = np.random.default_rng(seed)
     position, heading, positions = np.zeros(2), 0.0, []
     for _ in range(n):
@@ -33,7 +40,18 @@ def winding(seed: int, n: int) -> Positions:
 
 
 def run(n_maps: int, n: int, path: Path, tell: Callable[[str], None]) -> list[dict[str, Any]]:
-    """Both ways on drawn maps: which tie each finds, and the processor time of each; known lines are kept."""
+    """Both ways on drawn maps: the tie that each finds, and the processor time of each.
+
+    Parameters
+    ----------
+    n_maps : int
+    n : int
+        Keyframes of each.
+    path : Path
+        JSON lines; known lines are kept.
+    tell : callable
+        Called with a line of progress.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
     lines = path.read_text(encoding="utf-8").splitlines() if path.is_file() else []
     found = [json.loads(line) for line in lines]
@@ -62,7 +80,7 @@ def summary(found: list[dict[str, Any]]) -> str:
 
 
 def _compared(graph: pgti.PoseGraph) -> dict[str, Any]:
-    """One map by both ways."""
+    """A map by both ways."""
     started = time.process_time()
     best = pgti.best_revisits(graph, 1)[0]
     seconds = time.process_time() - started

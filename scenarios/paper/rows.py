@@ -1,8 +1,9 @@
-"""A scripted counterpart of every row of the paper's Table 4: as many keyframes, edges and inserted edges as there.
+"""A scripted counterpart of every row of the paper's Table 4: as many keyframes, edges and inserted edges as the row.
 
-The paper's maps are not published. The ways are ours, and of several that were tried those were picked that show what
-the paper's rows show: the rows illustrate, they test nothing. The radius is not picked: it is the smallest that inserts
-as many edges as the row has. `table.false_loops` and `table.side_loops` say how other places of rows (g) and (d) fare.
+The paper's maps are not published. The ways are ours, and of several ways those were picked that show what
+the paper's rows show: the rows illustrate, they test nothing. The radius is not picked: the smallest radius that
+inserts as many edges as the row has. `table.false_loops` and `table.side_loops` say how other places of rows (g) and
+(d) fare.
 """
 
 from __future__ import annotations
@@ -45,7 +46,7 @@ class Row:
     Attributes
     ----------
     name, what : str
-        Letter and dataset of the paper's row, and what the counterpart is.
+        Letter and dataset of the paper's row, and a description of the counterpart.
     n_keyframes, n_edges, n_inserted : int
         |V|, |E_p| and |E_m| − |E_p| of the paper's row.
     score : float
@@ -77,7 +78,7 @@ def along(corners: list[tuple[float, float]]) -> Callable[[int, int], tuple[Posi
 
 
 def second_pass(share: float) -> list[tuple[float, float]]:
-    """Corners of a lap of 640 m and of a second pass, beside the first, over a share of it."""
+    """Corners of a lap of 640 m and of a second pass, beside the first, over a share of the lap."""
     left, passed = 640 * share, [(0.0, 1.5), (198.5, 1.5), (198.5, 118.5), (1.5, 118.5)]
     corners = [(0.0, 0.0), (200.0, 0.0), (200.0, 120.0), (0.0, 120.0), passed[0]]
     for start, end in pairwise(passed):
@@ -91,7 +92,13 @@ def second_pass(share: float) -> list[tuple[float, float]]:
 
 
 def aliased(first: float, second: float) -> Callable[[int, int], tuple[Positions, Pairs]]:
-    """Corridors that look alike, two places taken for one, at shares of the way, and the map optimised with that."""
+    """Corridors that look alike: two places taken for the same, and the map optimised with that closure.
+
+    Parameters
+    ----------
+    first, second : float
+        The two places, as shares of the way.
+    """
 
     def drawn(n: int, m: int) -> tuple[Positions, Pairs]:
         i, j = int(first * n), int(second * n)
@@ -104,7 +111,13 @@ def aliased(first: float, second: float) -> Callable[[int, int], tuple[Positions
 
 
 def believed(true: Positions, closures: list[tuple[int, int]]) -> Positions:
-    """The optimum of a way whose odometry is right, with closures that say two places are one."""
+    """The optimum of a way with right odometry, with closures that take two places for the same.
+
+    Parameters
+    ----------
+    true : (n, 2) float
+    closures : list of tuple
+    """
     steps = np.diff(true, axis=0)
     headings = np.arctan2(steps[:, 1], steps[:, 0])
     poses = [gtsam.Pose2(*place, turn) for place, turn in zip(true, [*headings, headings[-1]], strict=True)]
@@ -138,7 +151,15 @@ def fused_but(lost: int) -> Callable[[int, int], tuple[Positions, Pairs]]:
 
 
 def quick_turn(n: int, m: int) -> tuple[Positions, Pairs]:
-    """A turn in which little is seen twice: across it the next twelve keyframes are tied, save the first two."""
+    """A turn with few common views: across the turn the next twelve keyframes are tied, save the first two.
+
+    Parameters
+    ----------
+    n : int
+        Keyframes.
+    m : int
+        Edges.
+    """
     positions, at = way([(0, 0), (120, 0), (120, 80), (200, 80)], n), int(0.43 * n)
     edges = covisible(n, m + 150)
     gaps = edges[:, 1] - edges[:, 0]
@@ -148,7 +169,7 @@ def quick_turn(n: int, m: int) -> tuple[Positions, Pairs]:
 
 
 def rows(data: Path | None) -> list[Row]:
-    """All ten rows; with the data also row (a) on the true way of KITTI 00, whose drift is ours."""
+    """All ten rows; with the data also row (a) on the true way of KITTI 00, with our drift."""
     found = [
         _row("(a) KITTI-00", "a lap whose way back lies on the way out for 50 m", (877, 15228, 22),
              1.3702, ((0.0146, 1.7554), (0.0149, 2.0740), (0.0522, 2.7790), (0.1634, 4.7935), (0.3988, 11.7651)),

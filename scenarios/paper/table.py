@@ -1,4 +1,4 @@
-"""Table 4 beside the paper's, what agrees in kind, and what two readings of the text change."""
+"""Table 4 beside the paper's, the agreement in kind, and the effect of two readings of the text."""
 
 from __future__ import annotations
 
@@ -22,7 +22,15 @@ N_FALSE_LOOPS = 40
 
 
 def run(data: Path | None, tell: Callable[[str], None]) -> list[dict[str, Any]]:
-    """Score every counterpart; rows ready for JSON, each with its map for the figure."""
+    """Score every counterpart; rows ready for JSON, each with its map for the figure.
+
+    Parameters
+    ----------
+    data : Path, optional
+        Folder of all data.
+    tell : callable
+        Called with a line of progress.
+    """
     found = []
     for row in rows(data):
         graph = row.pose_graph()
@@ -32,7 +40,13 @@ def run(data: Path | None, tell: Callable[[str], None]) -> list[dict[str, Any]]:
 
 
 def scored(row: Row, graph: pgti.PoseGraph) -> dict[str, Any]:
-    """What `assess` says of a counterpart, beside what the paper has."""
+    """The scores of a counterpart, beside the paper's.
+
+    Parameters
+    ----------
+    row : Row
+    graph : pgti.PoseGraph
+    """
     integrity = pgti.assess(graph)
     splits = [(split.local, split.global_) for split in map(integrity.split, BETAS)]
     return {
@@ -62,7 +76,15 @@ def scored(row: Row, graph: pgti.PoseGraph) -> dict[str, Any]:
 
 
 def kind(score: float, splits: Sequence[tuple[float, float]]) -> str:
-    """Harmless, or else which part dominates at every β."""
+    """Harmless, or else the part that dominates at every β.
+
+    Parameters
+    ----------
+    score : float
+        Λ.
+    splits : sequence of tuple
+        Λ_loc and Λ_glob for each β.
+    """
     if score < HARMLESS:
         return "harmless"
     ratios = np.array([far / near for near, far in splits])
@@ -72,7 +94,13 @@ def kind(score: float, splits: Sequence[tuple[float, float]]) -> str:
 
 
 def readings(graph: pgti.PoseGraph, integrity: pgti.Integrity) -> dict[str, float]:
-    """Λ by p = 1 and 2, on the merged graph's times and on each graph's own."""
+    """Λ by p = 1 and 2, on the merged graph's times and on each graph's own.
+
+    Parameters
+    ----------
+    graph : pgti.PoseGraph
+    integrity : pgti.Integrity
+    """
     before, after = heat_kernels(len(graph), graph.edges, integrity.merged_edges)
     shared, own = time_grid(after, 100), time_grid(before, 100)
     found = {}

@@ -1,7 +1,7 @@
 """Section 7, places without texture: two corridors side by side, and where the radii come from.
 
-A robot drives down one corridor, turns, and comes back through the next, behind a wall. Landmarks lie on the walls; the
-radius of a keyframe is the distance to the nearest landmark that it sees, as the paper has it. Where texture is poor
+A robot drives down a corridor, turns, and comes back through the next, behind a wall. Landmarks lie on the walls; the
+radius of a keyframe is the distance to the nearest landmark in view, as in the paper. Where texture is poor
 the nearest landmark is far away, and the sphere reaches through the wall.
 """
 

@@ -1,4 +1,4 @@
-"""Ways that a robot drives, how odometry bends them, and what connects keyframes along them."""
+"""Ways that a robot drives, how odometry bends ways, and connections of keyframes along them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,17 @@ Pairs = NDArray[np.int64]
 
 
 def way(corners: list[tuple[float, float]], n: int, rounding: int = 3) -> Positions:
-    """Keyframes at equal distances along a polyline, its corners rounded over some keyframes: (n, 2) m."""
+    """Keyframes at equal distances along a polyline with rounded corners: (n, 2) m.
+
+    Parameters
+    ----------
+    corners : list of tuple
+        In m.
+    n : int
+        Keyframes.
+    rounding : int
+        Keyframes over which a corner is rounded.
+    """
     places = np.array(corners, dtype=float)
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(places, axis=0), axis=1))])
     at = np.linspace(0, along[-1], n + 2 * rounding)
@@ -27,7 +37,17 @@ def way(corners: list[tuple[float, float]], n: int, rounding: int = 3) -> Positi
 
 
 def kitti_00(data: Path, every: int, n: int) -> Positions:
-    """The true way of KITTI 00, every so many-th pose, the first n of them: (n, 2) m."""
+    """The true way of KITTI 00, thinned out: (n, 2) m.
+
+    Parameters
+    ----------
+    data : Path
+        Folder of all data.
+    every : int
+        Keep every so many-th pose.
+    n : int
+        Keyframes.
+    """
     dataset = datasets.read(data / "kitti_robustslam" / "00" / "kitti_00_GT.g2o")
     poses: Positions = gtsam.utilities.extractPose2(dataset.values)
     return poses[::every, :2][:n]
@@ -39,14 +59,26 @@ def travelled_m(positions: Positions) -> NDArray[np.float64]:
 
 
 def scale_drift(positions: Positions, per_km: float) -> Positions:
-    """What monocular odometry makes of a way: its scale falls by exp(−per_km) a kilometre."""
+    """A way by monocular odometry: the scale falls by exp(−per_km) a kilometre.
+
+    Parameters
+    ----------
+    positions : (n, 2) float
+    per_km : float
+    """
     scales = np.exp(-per_km * travelled_m(positions)[1:] / 1000)
     steps = np.diff(positions, axis=0) * scales[:, None]
     return np.concatenate([positions[:1], positions[0] + np.cumsum(steps, axis=0)])
 
 
 def heading_drift(positions: Positions, rad_per_km: float) -> Positions:
-    """What a heading bias makes of a way."""
+    """A way by odometry with a heading bias.
+
+    Parameters
+    ----------
+    positions : (n, 2) float
+    rad_per_km : float
+    """
     angles = rad_per_km * travelled_m(positions)[1:] / 1000
     steps = np.diff(positions, axis=0)
     turned = np.stack([np.cos(angles) * steps[:, 0] - np.sin(angles) * steps[:, 1],
@@ -55,7 +87,15 @@ def heading_drift(positions: Positions, rad_per_km: float) -> Positions:
 
 
 def covisible(n: int, count: int) -> Pairs:
-    """So many pairs of keyframes, those nearest along the track; of the last distance evenly spread ones."""
+    """So many pairs of keyframes, the nearest along the track; of the last distance evenly spread pairs.
+
+    Parameters
+    ----------
+    n : int
+        Keyframes.
+    count : int
+        Pairs.
+    """
     pairs: list[Pairs] = []
     for gap in range(1, n):
         i = np.arange(n - gap)
@@ -69,7 +109,14 @@ def covisible(n: int, count: int) -> Pairs:
 
 
 def inserted_by(positions: Positions, edges: Pairs, radius: float) -> int:
-    """Edges that spheres of one radius would insert."""
+    """Edges that spheres of equal radius would insert.
+
+    Parameters
+    ----------
+    positions : (n, 2) float
+    edges : (m, 2) int
+    radius : float
+    """
     n = len(positions)
     space = np.pad(positions, ((0, 0), (0, 1)))
     free = overlapping_spheres(space, np.full(n, radius))
@@ -78,7 +125,15 @@ def inserted_by(positions: Positions, edges: Pairs, radius: float) -> int:
 
 
 def radius_inserting(positions: Positions, edges: Pairs, count: int) -> float:
-    """The smallest radius with which spheres insert at least so many edges, to a thousandth, m."""
+    """The smallest radius with which spheres insert at least so many edges, to a thousandth, m.
+
+    Parameters
+    ----------
+    positions : (n, 2) float
+    edges : (m, 2) int
+    count : int
+        Edges to insert.
+    """
     low, high = 0.0, 1.0
     while inserted_by(positions, edges, high) < count:
         low, high = high, 2 * high
@@ -89,7 +144,14 @@ def radius_inserting(positions: Positions, edges: Pairs, count: int) -> float:
 
 
 def pose_graph(positions: Positions, edges: Pairs, radius: float | NDArray[np.float64]) -> pgti.PoseGraph:
-    """Keyframes numbered in their order; steps from one to the next are odometry."""
+    """Keyframes numbered in order; steps from each to the next are odometry.
+
+    Parameters
+    ----------
+    positions : (n, 2) float
+    edges : (m, 2) int
+    radius : float or (n,) float
+    """
     steps = np.abs(edges[:, 0] - edges[:, 1]) == 1
     sources = np.where(steps, pgti.EdgeSource.BETWEEN | pgti.EdgeSource.ODOMETRY, pgti.EdgeSource.BETWEEN)
     return pgti.PoseGraph(

@@ -1,6 +1,6 @@
-"""What everything costs: heat kernels by solver and size, the audit part by part, a decision of the gate.
+"""The cost of everything: heat kernels by solver and size, the audit part by part, a decision of the gate.
 
-Every row has a fresh process with one BLAS thread. What is compared runs in the same process, one after the other,
+Every row has a fresh process with one BLAS thread. Compared solvers run in the same process, one after the other,
 so that ratios hold when the machine's speed drifts. Times are processor times.
 """
 
@@ -29,7 +29,19 @@ GROWN = 3000
 
 
 def run(data: Path | None, largest: int, dense_up_to: int, tell: Callable[[str], None]) -> Row:
-    """Measure every graph with every solver that can afford it, then the parts; what is found, ready for JSON."""
+    """Measure every graph with every solver that can afford the graph, then the parts; ready for JSON.
+
+    Parameters
+    ----------
+    data : Path, optional
+        Folder of all data.
+    largest : int
+        Vertices of the largest synthetic graph.
+    dense_up_to : int
+        Vertices up to which the dense solver runs.
+    tell : callable
+        Called with a line of progress.
+    """
     if data is not None and not data.is_dir():
         raise InvalidOptionError(f"expected a folder with the real graphs, got {data}")
     rows = []
@@ -74,7 +86,13 @@ PARTS: dict[str, Callable[[Path | None], Iterator[str]]] = {
 
 
 def write(found: Row, path: Path) -> None:
-    """Write the results as JSON, and their figure beside."""
+    """Write the results as JSON, and the figure beside.
+
+    Parameters
+    ----------
+    found : Row
+    path : Path
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
     outputs.write_text(path, json.dumps(found, indent=1) + "\n")
     draw(found, path.with_suffix(".png"))
@@ -96,7 +114,15 @@ def growth(rows: list[Row]) -> dict[str, float]:
 
 
 def in_fresh_process(part: str, case: str, dense_up_to: int, data: Path | None) -> list[Row]:
-    """Rows of one case, measured in a process of its own with one BLAS thread."""
+    """Rows of a case, measured in a process of its own with one BLAS thread.
+
+    Parameters
+    ----------
+    part, case : str
+    dense_up_to : int
+    data : Path, optional
+        Folder of all data.
+    """
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
     command = [sys.executable, "-m", "scenarios.speed.child", part, case, str(dense_up_to), str(data or "")]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)

@@ -1,4 +1,4 @@
-"""One case in a process of its own: `python -m scenarios.speed.child PART CASE DENSE_UP_TO [DATA]` prints its rows."""
+"""A case in a process of its own: `python -m scenarios.speed.child PART CASE DENSE_UP_TO [DATA]` prints the rows."""
 
 from __future__ import annotations
 

@@ -27,7 +27,13 @@ NAMES = {
 
 
 def draw(found: dict[str, Any], path: Path) -> None:
-    """Draw what `run` found."""
+    """Draw the result of `run`.
+
+    Parameters
+    ----------
+    found : mapping
+    path : Path
+    """
     figure, axes = plt.subplots(1, 2, figsize=(11, 4.6), layout="constrained", sharex=True)
     for axis, quantity, unit in zip(
         axes, ("seconds", "peak_megabytes"), ("processor time, s", "peak memory, MB"), strict=True

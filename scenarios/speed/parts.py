@@ -1,4 +1,4 @@
-"""The audit part by part, one more closure on a cached map, and a decision of the gate with what it spends."""
+"""The audit part by part, a closure more on a cached map, and a decision of the gate with its parts."""
 
 from __future__ import annotations
 
@@ -56,7 +56,14 @@ class Stopwatch:
 
 
 def audit(case: str, data: Path) -> list[Row]:
-    """What each step of `pgti-gtsam audit` costs."""
+    """The cost of each step of `pgti-gtsam audit`.
+
+    Parameters
+    ----------
+    case : str
+    data : Path
+        Folder of all data.
+    """
     watch = Stopwatch()
     dataset, radii = _mapped(case, data)
     watch.look("reading")
@@ -91,7 +98,7 @@ def _mapped(case: str, data: Path) -> tuple[datasets.Dataset, float | None]:
 
 
 def _landmark_map(n: int) -> datasets.Dataset:
-    """A straight road of n keyframes, each of which sees five of the n landmarks along it."""
+    """A straight road of n keyframes, each with five of the n landmarks in view."""
     graph, values, landmark = gtsam.NonlinearFactorGraph(), gtsam.Values(), gtsam.symbol_shorthand.L
     unit3, unit2 = gtsam.noiseModel.Unit.Create(3), gtsam.noiseModel.Unit.Create(2)
     for k in range(n):
@@ -106,7 +113,7 @@ def _landmark_map(n: int) -> datasets.Dataset:
 
 
 def updates(case: str) -> list[Row]:
-    """One more closure on a cached chain: by low-rank update of all keyframes, and by its neighbourhood alone."""
+    """A closure more on a cached chain: by low-rank update of all keyframes, and by its neighbourhood alone."""
     _, size, width = case.split("-")
     n, edges = int(size), band(int(size), int(width))
     watch = Stopwatch()
@@ -138,7 +145,14 @@ def _best_of(count: int, task: Callable[[], object]) -> float:
 
 
 def decisions(case: str, data: Path) -> list[Row]:
-    """True closures taken out of a map and offered again, and false ones, against one optimisation of the map."""
+    """True closures taken out of a map and offered again, and false closures, against an optimisation of the map.
+
+    Parameters
+    ----------
+    case : str
+    data : Path
+        Folder of all data.
+    """
     dataset, radius = _gated(case, data)
     watch = Stopwatch()
     best = optimised(dataset.graph, dataset.values)
@@ -193,7 +207,7 @@ def _stages(
     closure: gtsam.NonlinearFactorGraph,
     radius: float,
 ) -> dict[str, float]:
-    """What each step of a decision on a closure that passes costs, s: the calls of `LoopClosureGate.evaluate`."""
+    """The cost of each step of a decision on a closure that passes, s: the calls of `LoopClosureGate.evaluate`."""
     # the map without the closure
     watch = Stopwatch()
     pose_graph = gate.adapted(graph, values, radius)
@@ -227,7 +241,7 @@ def _stages(
 def _offers(
     dataset: datasets.Dataset, best: gtsam.Values, radius: float
 ) -> tuple[gtsam.NonlinearFactorGraph, dict[str, list[gtsam.NonlinearFactorGraph]]]:
-    """The map without some of its closures; these; and as many between random keyframes."""
+    """The map without some closures; these closures; and as many between random keyframes."""
     rng = np.random.default_rng(0)
     pose_graph = pgti.from_gtsam(dataset.graph, best, radii=radius)
     slots = rng.choice(list(closure_ends(pose_graph, dataset.graph)), N_DECISIONS, replace=False).tolist()

@@ -1,4 +1,4 @@
-"""The heat kernels of pose graph and merged graph by one solver after the other, in one process."""
+"""The heat kernels of pose graph and merged graph by each solver in turn, in the same process."""
 
 from __future__ import annotations
 
@@ -45,7 +45,15 @@ SOLVERS = ("poles", "auto", "lanczos", "chebyshev", "dense")
 
 
 def cases(data: Path | None, largest: int) -> Iterator[str]:
-    """Names of the graphs to solve, synthetic ones up to a size."""
+    """Names of the graphs to solve, synthetic graphs up to a size.
+
+    Parameters
+    ----------
+    data : Path, optional
+        Folder of all data.
+    largest : int
+        Vertices of the largest synthetic graph.
+    """
     for n in (size for size in SIZES if size <= largest):
         yield f"chain-{n}"
         if n <= 30_000:
@@ -55,7 +63,14 @@ def cases(data: Path | None, largest: int) -> Iterator[str]:
 
 
 def graphs_of(case: str, data: Path | None) -> tuple[int, Edges, Edges]:
-    """Number of vertices, edges of the pose graph, edges of the merged graph."""
+    """Number of vertices, edges of the pose graph, edges of the merged graph.
+
+    Parameters
+    ----------
+    case : str
+    data : Path, optional
+        Folder of all data.
+    """
     if case.removesuffix(STORED) in REAL:
         name, radius = REAL[case.removesuffix(STORED)]
         dataset = datasets.read(Path(data or ".") / name)
@@ -71,7 +86,13 @@ def graphs_of(case: str, data: Path | None) -> tuple[int, Edges, Edges]:
 
 
 def band(n: int, width: int) -> Edges:
-    """Every vertex of a chain tied to its next `width`."""
+    """Every vertex of a chain tied to the next `width`.
+
+    Parameters
+    ----------
+    n : int
+    width : int
+    """
     return np.concatenate([np.stack([np.arange(n - d), np.arange(n - d) + d], axis=1) for d in range(1, width + 1)])
 
 
@@ -93,7 +114,16 @@ def _random(n: int, rng: np.random.Generator) -> Edges:
 
 
 def solved(case: str, data: Path | None, dense_up_to: int) -> list[Row]:
-    """Run the solvers in turn, the leanest first: a peak of memory never falls, so each must exceed those before."""
+    """Run the solvers in turn, the leanest first: a peak of memory never falls, so each must exceed the peak before.
+
+    Parameters
+    ----------
+    case : str
+    data : Path, optional
+        Folder of all data.
+    dense_up_to : int
+        Vertices up to which the dense solver runs.
+    """
     n, edges, merged = graphs_of(case, data)
     rows, found = [], {}
     before = peak_megabytes()
@@ -114,7 +144,14 @@ def solved(case: str, data: Path | None, dense_up_to: int) -> list[Row]:
 
 
 def zeta_of(n: int, edges: Edges, merged: Edges, method: Any) -> NDArray[np.float64]:
-    """ζ of every vertex (Eq. 17), and the diagonals that the stable score takes."""
+    """ζ of every vertex (Eq. 17), and the diagonals that the stable score takes.
+
+    Parameters
+    ----------
+    n : int
+    edges, merged : (m, 2) int
+    method : object
+    """
     kernel_p, kernel_m = heat_kernels(n, edges, merged, method=method)
     times = time_grid(kernel_m, 100)
     zeta = relative_distortion(kernel_p.signatures(times), kernel_m.signatures(times), 2)
@@ -140,7 +177,7 @@ def _lanczos_zeta(n: int, edges: Edges, merged: Edges) -> NDArray[np.float64]:
 def _chebyshev_zeta(n: int, edges: Edges, merged: Edges) -> NDArray[np.float64]:
     """ζ by PyGSP's Chebyshev filters on a unit of heat at every vertex; its heat kernel is exp(−s λ/λ_max).
 
-    The order grows as the square root of t λ_max, which is what exp(−t λ) asks of a polynomial.
+    The order grows as the square root of t λ_max, as exp(−t λ) demands of a polynomial.
     """
     times = time_grid(heat_kernels(n, merged)[0], 100)
     signatures = []
@@ -162,7 +199,7 @@ def _chebyshev_zeta(n: int, edges: Edges, merged: Edges) -> NDArray[np.float64]:
 
 
 def peak_megabytes() -> float:
-    """Largest memory that this process has had."""
+    """Largest memory of this process so far."""
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 

@@ -1,9 +1,9 @@
 """Worlds of walls and floors that look alike in many places, driven and sensed: from geometry to a problem.
 
 1. A layout (`layouts`) is driven at random (`driving`) with odometry that drifts (`drift`).
-2. Its sensor tracks landmarks (`sensors`, `landmarks`): as GTSAM factors they give the radii, through the adapter.
-3. Closures are proposed by what the surroundings look like (`appearance`), with the pose that alignment gives.
-4. Whether a proposal is true, and whether a false one makes free space overlap, is seen from the true poses.
+2. The sensor tracks landmarks (`sensors`, `landmarks`): as GTSAM factors they give the radii, through the adapter.
+3. Closures are proposed by the look of the surroundings (`appearance`), with the aligned pose.
+4. Whether a proposal is true, and whether a false proposal makes free space overlap, follows from the true poses.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ AROUND = 5
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Drive:
-    """One drive through a world, with all that was sensed.
+    """A drive through a world, with all sensor data.
 
     Attributes
     ----------
@@ -77,7 +77,16 @@ class Drive:
 
 @functools.lru_cache(maxsize=2)
 def drive(world: str, seed: int, length_m: float | None = None) -> Drive:
-    """Drive through a world of `LAYOUTS`, for the layout's length where none is given."""
+    """Drive through a world of `LAYOUTS`, for the layout's length where none is given.
+
+    Parameters
+    ----------
+    world : str
+        A world of `LAYOUTS`.
+    seed : int
+    length_m : float, optional
+        The layout's own when left out.
+    """
     layout, random = LAYOUTS[world](), np.random.default_rng(seed)
     truth = driving.drive(layout.ways, random, length_m or layout.length_m, layout.step_m)
     sensor, solid = layout.sensor, layout.solid
@@ -106,7 +115,13 @@ def drive(world: str, seed: int, length_m: float | None = None) -> Drive:
 
 
 def drifting(driven: Drive, errors: drift.Errors) -> Drive:
-    """The same drive by odometry that errs in another way; radii keep their size in the odometry's own scale."""
+    """The same drive with other errors of odometry; radii keep their size in the odometry's own scale.
+
+    Parameters
+    ----------
+    driven : Drive
+    errors : drift.Errors
+    """
     sensor, random = driven.layout.sensor, np.random.default_rng([driven.seed, 1])
     found = drift.odometry(driven.truth, random, planar=sensor.planar, scaled=sensor.name == "camera", errors=errors)
     radii = {key: radius * found.scales[key] / driven.odometry.scales[key] for key, radius in driven.radii.items()}
@@ -122,7 +137,7 @@ def problem(
     length_m: float | None = None,
     errors: drift.Errors = drift.USUAL,
 ) -> Problem:
-    """The drive as methods get it.
+    """The drive as a method's problem.
 
     Parameters
     ----------
@@ -132,11 +147,11 @@ def problem(
     told : str
         Of `TOLD`.
     share : float
-        False proposals per true one, as far as there are so many.
+        False proposals per true proposal, as far as proposals exist.
     length_m : float, optional
         Way driven; the layout's own without.
     errors : Errors
-        Other ones than the usual are drawn anew, for the same drive.
+        Other errors than the usual are drawn anew, for the same drive.
     """
     driven = drive(world, seed, length_m)
     if errors is not drift.USUAL:
@@ -164,9 +179,16 @@ def problem(
 
 
 def overlaps(truth: list[gtsam.Pose3], radii: dict[int, float], i: int, j: int, measured: gtsam.Pose3) -> bool:
-    """Whether carrying the stretch that ends at j to where a closure puts it lays spheres on others.
+    """Whether a closure carries the stretch that ends at j onto other spheres.
 
     Spheres that touch in truth do not count, nor do those next to the closure's ends.
+
+    Parameters
+    ----------
+    truth : list of gtsam.Pose3
+    radii : mapping
+    i, j : int
+    measured : gtsam.Pose3
     """
     places = np.array([pose.translation() for pose in truth])
     size = np.array([radii[k] for k in range(len(truth))])

@@ -1,8 +1,8 @@
-"""Loop closures as a detector would propose them: it knows the shape of what is around, not where that is.
+"""Loop closures as a detector would propose them: by the shape of the surroundings, without positions.
 
-Every keyframe's ranges are compared with those of all earlier ones, over every turn where the sensor sees all around
-(the idea of Scan Context: Kim and Kim, IROS 2018); the most alike are aligned by point-to-plane ICP. What aligns well
-is proposed, with the relative pose that ICP found.
+Every keyframe's ranges are compared with all earlier ranges, over every turn where the sensor sees all around
+(the idea of Scan Context: Kim and Kim, IROS 2018); the most alike are aligned by point-to-plane ICP. Pairs that align
+well is proposed, with the relative pose that ICP found.
 """
 
 from __future__ import annotations
@@ -40,14 +40,22 @@ ALIGNED = 0.9
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Proposals:
-    """Earlier and later keyframe, (n, 2) int, by the later one, and the relative poses that alignment found."""
+    """Earlier and later keyframe, (n, 2) int, by the later, and the aligned relative poses."""
 
     pairs: Array
     measured: list[gtsam.Pose3]
 
 
 def proposals(solid: Solid, sensor: Sensor, poses: Sequence[gtsam.Pose3], random: np.random.Generator) -> Proposals:
-    """What a detector proposes on a drive."""
+    """The proposals of a detector on a drive.
+
+    Parameters
+    ----------
+    solid : Solid
+    sensor : Sensor
+    poses : sequence of gtsam.Pose3
+    random : np.random.Generator
+    """
     scans = [_noisy(sensor.scan(solid, pose), sensor, random) for pose in poses]
     step = float(np.median([a.range(b) for a, b in pairwise(poses)]))
     before = np.arange(len(poses))
@@ -68,12 +76,12 @@ def matched(
     Parameters
     ----------
     scans : sequence of Hits
-        One for each keyframe, in the body's frame.
+        A cloud for each keyframe, in the body's frame.
     sensor : Sensor
     reach_m : float
         Largest distance between points that belong together, to begin with.
     asked : (n, n) bool
-        Which earlier keyframes a later one may be matched with, [later, earlier].
+        The earlier keyframes allowed for a later keyframe, [later, earlier].
     alike : float
         Largest root mean square difference of two views' log ranges.
     aligned : float
@@ -124,7 +132,7 @@ def _compared(views: Array, sensor: Sensor) -> tuple[Array, Array]:
 
 
 def _best(unlike: Array, alike: float) -> list[int]:
-    """The most alike keyframes, none in the neighbourhood of a better one."""
+    """The most alike keyframes, none in the neighbourhood of a better match."""
     found: list[int] = []
     for i in np.argsort(unlike, kind="stable"):
         if unlike[i] > alike or len(found) == N_BEST:
@@ -135,7 +143,7 @@ def _best(unlike: Array, alike: float) -> list[int]:
 
 
 def _cloud(scan: Hits, sensor: Sensor) -> Cloud:
-    """Points with normals; a scanner of one plane knows that it stands on a floor."""
+    """Points with normals; a scanner of a single plane knows of the floor."""
     seen = np.isfinite(scan.distances)
     points, normals = scan.points[seen], scan.normals[seen]
     if sensor.planar:

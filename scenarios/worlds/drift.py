@@ -23,7 +23,7 @@ SCALE = 0.003
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Odometry:
-    """What was measured: (n - 1) steps, the (n,) scale at every keyframe, and (6,) sigmas of a step's noise."""
+    """The measurements: (n - 1) steps, the (n,) scale at every keyframe, and (6,) sigmas of a step's noise."""
 
     steps: list[gtsam.Pose3]
     scales: Array
@@ -86,7 +86,18 @@ LEAST_TOLD = 0.3
 def odometry(
     truth: Sequence[gtsam.Pose3], random: np.random.Generator, *, planar: bool, scaled: bool, errors: Errors = USUAL
 ) -> Odometry:
-    """Steps between true poses as they are measured; in the plane nothing rolls, pitches or climbs."""
+    """Steps between true poses with errors of odometry.
+
+    Parameters
+    ----------
+    truth : sequence of gtsam.Pose3
+    random : np.random.Generator
+    planar : bool
+        Whether nothing rolls, pitches or climbs.
+    scaled : bool
+        Whether the scale drifts too.
+    errors : Errors
+    """
     step_m = float(np.median([a.range(b) for a, b in pairwise(truth)]))
     usual = WALK * np.sqrt(step_m) * (np.array([0, 0, 1, 1, 1, 0]) if planar else 1)
     sigmas = errors.walk * usual
@@ -122,5 +133,5 @@ def _spoilt(steps: list[gtsam.Pose3], random: np.random.Generator, errors: Error
 
 
 def _pose(similarity: gtsam.Similarity3) -> gtsam.Pose3:
-    """Where a similarity puts a body and its axes; it maps x to s (R x + t)."""
+    """The pose of a body under a similarity that maps x to s (R x + t)."""
     return gtsam.Pose3(similarity.rotation(), similarity.scale() * similarity.translation())

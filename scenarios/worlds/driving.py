@@ -10,7 +10,15 @@ from scenarios.worlds.solid import Array
 
 
 def drive(ways: nx.Graph, random: np.random.Generator, length_m: float, step_m: float) -> list[gtsam.Pose3]:
-    """Poses a step apart, looking ahead; x is forward, z up but for the slope."""
+    """Poses a step apart, looking ahead; x is forward, z up but for the slope.
+
+    Parameters
+    ----------
+    ways : nx.Graph
+    random : np.random.Generator
+    length_m : float
+    step_m : float
+    """
     corners = np.array(_walk(ways, random, length_m))
     sides = np.linalg.norm(np.diff(corners, axis=0), axis=1)
     way = np.concatenate([[0.0], np.cumsum(sides)])
@@ -20,7 +28,7 @@ def drive(ways: nx.Graph, random: np.random.Generator, length_m: float, step_m: 
 
 
 def _walk(ways: nx.Graph, random: np.random.Generator, length_m: float) -> list[tuple[float, float, float]]:
-    """Random, with a liking for ways passed less often; back the way it came only at a dead end."""
+    """Random, with a liking for rare ways; back the way the robot came only at a dead end."""
     nodes = sorted(ways.nodes)
     walk, passed, driven = [nodes[int(random.integers(len(nodes)))]], {}, 0.0
     while driven < length_m + 1.0:

@@ -1,6 +1,6 @@
 """Landmarks that a sensor tracks, as GTSAM factors: identities last as long as a track does.
 
-A place seen again later is a new landmark: knowing that it is the old one is what a loop closure says.
+A place seen again later is a new landmark: only a loop closure says that two landmarks are the same.
 """
 
 from __future__ import annotations
@@ -26,7 +26,18 @@ PIXEL_SIGMA = 0.5
 
 
 def places(solid: Solid, sensor: Sensor, height_m: float, per_m2: float, random: np.random.Generator) -> Array:
-    """Distinct points on surfaces, (n, 3) m; those of a planar scanner lie at its height, on walls."""
+    """Distinct points on surfaces, (n, 3) m; a planar scanner's points lie at the scanner's height, on walls.
+
+    Parameters
+    ----------
+    solid : Solid
+    sensor : Sensor
+    height_m : float
+        Of a planar scanner.
+    per_m2 : float
+        Points a square metre.
+    random : np.random.Generator
+    """
     points, normals = solid.draw(random, per_m2)
     if not sensor.planar:
         return points
@@ -37,7 +48,16 @@ def places(solid: Solid, sensor: Sensor, height_m: float, per_m2: float, random:
 def sightings(
     solid: Solid, sensor: Sensor, poses: Sequence[gtsam.Pose3], points: Array, random: np.random.Generator
 ) -> list[list[tuple[int, Array]]]:
-    """For each keyframe, tracks in view and where it sees them: (3,) m in its own frame, with the sensor's noise."""
+    """For each keyframe, tracks in view with positions: (3,) m in the keyframe's own frame, with the sensor's noise.
+
+    Parameters
+    ----------
+    solid : Solid
+    sensor : Sensor
+    poses : sequence of gtsam.Pose3
+    points : (n, 3) float
+    random : np.random.Generator
+    """
     strength = random.permutation(len(points))
     last = np.full(len(points), -LOST_AFTER - 1)
     track, n_tracks, seen = np.full(len(points), -1), 0, []
@@ -59,7 +79,15 @@ def sightings(
 def landmark_graph(
     seen: Sequence[Sequence[tuple[int, Array]]], estimates: Sequence[gtsam.Pose3], sensor: Sensor
 ) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
-    """Sightings as factors of the sensor's kind, landmarks placed where they were first seen from the estimates."""
+    """Sightings as factors of the sensor's kind, landmarks placed by their first sighting from the estimates.
+
+    Parameters
+    ----------
+    seen : sequence of sequence of tuple
+        Tracks and positions for each keyframe.
+    estimates : sequence of gtsam.Pose3
+    sensor : Sensor
+    """
     graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
     pixels = gtsam.noiseModel.Isotropic.Sigma(3, PIXEL_SIGMA)
     ranges = gtsam.noiseModel.Isotropic.Sigma(2 if sensor.planar else 3, sensor.noise_m)

@@ -1,6 +1,6 @@
 """Seven worlds that look alike in many places, each with the ways through it.
 
-A layout is its surfaces, a network of ways whose nodes hold places of the sensor in m, and the sensor that fits.
+A layout has surfaces, a network of ways whose nodes hold places of the sensor in m, and the sensor that fits.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ CLUTTER_EVERY = 8.0
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Layout:
-    """A world, its ways, and how it is driven.
+    """A world, its ways, and the manner of driving.
 
     Attributes
     ----------
@@ -35,7 +35,7 @@ class Layout:
     length_m : float
         Way driven.
     landmarks_per_m2 : float
-        On all surfaces; a sensor takes the strongest that it sees.
+        On all surfaces; a sensor takes the strongest points in view.
     """
 
     solid: Solid
@@ -293,7 +293,7 @@ def _grid(n_x: int, n_y: int, pitch: float, eye: float) -> nx.Graph:
 
 
 def _connect(ways: nx.Graph, places: list[tuple[float, float, float]], *, splitting: bool = False) -> None:
-    """Add straight ways from place to place; where they start or end upon another way, it is split there."""
+    """Add straight ways from place to place; a way is split where another starts or ends upon it."""
     if splitting:
         for place in places:
             for one, other in list(ways.edges):

@@ -1,4 +1,4 @@
-"""What is seen from a pose: ranges on a grid of rays, and landmarks that are in view and not hidden.
+"""The view from a pose: ranges on a grid of rays, and landmarks that are in view and not hidden.
 
 The body looks along x, y is left, z is up.
 """
@@ -46,12 +46,12 @@ class Sensor:
 
     @property
     def all_around(self) -> bool:
-        """Whether it sees behind itself."""
+        """Whether the sensor sees backwards."""
         return self.half_width_rad >= np.pi
 
     @property
     def planar(self) -> bool:
-        """Whether all of its rays lie in one plane."""
+        """Whether all rays lie in a plane."""
         return self.elevations_rad[0] == self.elevations_rad[1]
 
     def rays(self) -> Array:
@@ -63,7 +63,13 @@ class Sensor:
         return np.stack([level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)], axis=-1)
 
     def scan(self, solid: Solid, pose: gtsam.Pose3) -> Hits:
-        """Every ray's end, in the body's frame; beyond reach is a miss."""
+        """Every ray's end, in the body's frame; beyond reach is a miss.
+
+        Parameters
+        ----------
+        solid : Solid
+        pose : gtsam.Pose3
+        """
         directions = self.rays().reshape(-1, 3)
         turn = pose.rotation().matrix()
         found = solid.cast(np.broadcast_to(pose.translation(), directions.shape), directions @ turn.T)
@@ -73,7 +79,15 @@ class Sensor:
         return Hits(points=points, normals=found.normals @ turn, distances=distances)
 
     def sees(self, solid: Solid, pose: gtsam.Pose3, places: Array) -> Array:
-        """Which of (n, 3) places in the world are in view and not hidden: (k,) int, in order."""
+        """The places that are in view and not hidden: (k,) int, in order.
+
+        Parameters
+        ----------
+        solid : Solid
+        pose : gtsam.Pose3
+        places : (n, 3) float
+            In the world.
+        """
         near = np.flatnonzero(np.linalg.norm(places - pose.translation(), axis=1) < self.reach_m)
         local = (places[near] - pose.translation()) @ pose.rotation().matrix()
         distance = np.linalg.norm(local, axis=1)

@@ -1,4 +1,4 @@
-"""Walls and floors as parallelograms: building them, casting rays at them, drawing points from them."""
+"""Walls and floors as parallelograms: building, casting rays, drawing points."""
 
 from __future__ import annotations
 
@@ -42,7 +42,15 @@ class Solid:
         return scene
 
     def cast(self, origins: Array, directions: Array) -> Hits:
-        """Rays from (n, 3) m along (n, 3) unit vectors."""
+        """Rays from (n, 3) m along (n, 3) unit vectors.
+
+        Parameters
+        ----------
+        origins : (n, 3) float
+            In m.
+        directions : (n, 3) float
+            Unit vectors.
+        """
         o3d = load_open3d()
         rays = np.hstack([origins, directions]).astype(np.float32)
         found = self._scene.cast_rays(o3d.core.Tensor(rays))
@@ -53,13 +61,26 @@ class Solid:
         return Hits(points=points, normals=normals, distances=distances)
 
     def parts(self, places: Array, others: Array) -> NDArray[np.bool_]:
-        """Whether a surface lies between (n, 3) m and (n, 3) m, one by one: (n,) bool."""
+        """Whether a surface lies between each pair of places: (n,) bool.
+
+        Parameters
+        ----------
+        places, others : (n, 3) float
+            In m.
+        """
         away = np.linalg.norm(others - places, axis=1)
         directions = (others - places) / np.maximum(away, np.finfo(float).tiny)[:, None]
         return np.asarray(self.cast(places, directions).distances < away)
 
     def draw(self, random: np.random.Generator, per_m2: float) -> tuple[Array, Array]:
-        """Points drawn evenly from all surfaces, (n, 3) m, and the (n, 3) unit normals there."""
+        """Points drawn evenly from all surfaces, (n, 3) m, and the (n, 3) unit normals there.
+
+        Parameters
+        ----------
+        random : np.random.Generator
+        per_m2 : float
+            Points a square metre.
+        """
         across = np.cross(self.faces[:, 1], self.faces[:, 2])
         areas = np.linalg.norm(across, axis=1)
         face = random.choice(len(areas), round(per_m2 * areas.sum()), p=areas / areas.sum())
@@ -69,7 +90,12 @@ class Solid:
 
 
 def box(low: Sequence[float], high: Sequence[float]) -> Array:
-    """All six sides of a box with edges along the axes."""
+    """All six sides of a box with edges along the axes.
+
+    Parameters
+    ----------
+    low, high : sequence of float
+    """
     low, high = np.asarray(low, dtype=float), np.asarray(high, dtype=float)
     x, y, z = np.diag(high - low)
     return np.array(
@@ -78,5 +104,11 @@ def box(low: Sequence[float], high: Sequence[float]) -> Array:
 
 
 def plate(corner: Sequence[float], along: Sequence[float], across: Sequence[float]) -> Array:
-    """One parallelogram: a floor, a ramp, a thin wall."""
+    """A single parallelogram: a floor, a ramp, a thin wall.
+
+    Parameters
+    ----------
+    corner : sequence of float
+    along, across : sequence of float
+    """
     return np.array([[corner, along, across]], dtype=float)
