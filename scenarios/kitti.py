@@ -87,12 +87,15 @@ def run(
     """
     found = {}
     for sequence in sequences:
+        # every file of the sequence
         rows = []
         for path in files(data, sequence, alphas):
             steps = driven(path) if in_time_order else (gated(path),)
             for row in steps:
                 tell(_line(row))
             rows.append(steps[-1])
+
+        # the sequence as a whole
         total = Row(
             file=sequence,
             **{name: sum(getattr(row, name) for row in rows) for name in _COUNTS},

@@ -121,11 +121,14 @@ def gated(given: Loops, radius_m: float, information: float) -> dict[str, Any]:
     information : float
         Of each closure.
     """
+    # closures with the given information
     graph = gtsam.NonlinearFactorGraph(given.graph)
     for slot in given.slots.tolist():
         factor = graph.at(slot)
         noise = gtsam.noiseModel.Gaussian.Covariance(factor.noiseModel().covariance() / information)
         graph.replace(slot, between(*factor.keys(), factor.measured(), noise))
+
+    # the gate's answer
     result = pgti.gate_graph(graph, given.values, radii=radius_m, closures=given.slots.tolist())
     accepted = np.isin(given.slots, result.accepted)
     wrong = given.missed_m[accepted & ~given.true]

@@ -45,6 +45,7 @@ def run(largest: int, seed: int, tell: Callable[[str], None]) -> list[Row]:
     tell : callable
         Called with a line of progress.
     """
+    # both smoothers
     parameters = gtsam.ISAM2Params()
     parameters.setFactorization("QR")
     bare, gated = gtsam.ISAM2(parameters), pgti.GatedISAM2(parameters, radii=RADIUS_M)
@@ -53,11 +54,14 @@ def run(largest: int, seed: int, tell: Callable[[str], None]) -> list[Row]:
     accepted, base = [], _megabytes()
     gc.disable()
     for k, (factors, values, closures) in enumerate(drive(largest, seed)):
+        # iSAM2 alone
         together = gtsam.NonlinearFactorGraph(factors)
         for closure in closures:
             together.push_back(closure)
         kind = " closing" if closures else ""
         times["bare" + kind].append(_seconds(lambda: bare.update(together, values)))  # noqa: B023
+
+        # the gated smoother
         update = None
 
         def gate() -> None:
@@ -66,6 +70,8 @@ def run(largest: int, seed: int, tell: Callable[[str], None]) -> list[Row]:
 
         times["gated" + kind].append(_seconds(gate))
         accepted += [decision.accepted for decision in update.decisions]
+
+        # a row
         if k + 1 in SIZES:
             rows.append(_row(k + 1, times, accepted, _megabytes() - base))
             tell(line(rows[-1]))
@@ -139,6 +145,7 @@ def drive(n_keyframes: int, seed: int) -> Iterator[tuple[gtsam.NonlinearFactorGr
     n_keyframes : int
     seed : int
     """
+    # noise, motion and poses
     random = np.random.default_rng(seed)
     noise = gtsam.noiseModel.Diagonal.Sigmas(np.array([0.05, 0.05, 0.01]))
     step, turn = gtsam.Pose2(1.0, 0.0, 0.0), gtsam.Pose2(1.0, 0.0, np.pi / 2)
@@ -146,6 +153,8 @@ def drive(n_keyframes: int, seed: int) -> Iterator[tuple[gtsam.NonlinearFactorGr
     poses = [truth]
     for k in range(n_keyframes):
         factors, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+
+        # odometry
         if k == 0:
             factors.push_back(gtsam.PriorFactorPose2(0, truth, noise))
         else:
@@ -155,6 +164,8 @@ def drive(n_keyframes: int, seed: int) -> Iterator[tuple[gtsam.NonlinearFactorGr
             poses.append(truth)
             factors.push_back(between(k - 1, k, measured, noise))
         values.insert(k, guess)
+
+        # a closure
         closures = []
         if k >= LAP and k % EVERY == 0:
             seen = poses[k - LAP].between(truth).compose(gtsam.Pose2(*random.normal(0, [0.05, 0.05, 0.01])))

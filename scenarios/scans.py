@@ -85,6 +85,7 @@ def gated(path: Path, seed: int) -> dict[str, Any]:
     path : Path
     seed : int
     """
+    # false closures among the true
     dataset = datasets.read(path)
     graph = gtsam.NonlinearFactorGraph(dataset.graph)
     alike, random = look_alikes(path), np.random.default_rng(seed)
@@ -93,6 +94,8 @@ def gated(path: Path, seed: int) -> dict[str, Any]:
     noise = graph.at(true[0]).noiseModel()
     for first, second, measured in false:
         graph.add(gtsam.BetweenFactorPose2(first, second, measured, noise))
+
+    # the gate's answer
     started = time.process_time()
     offered = [*true, *range(dataset.graph.size(), graph.size())]
     result = pgti.gate_graph(graph, dataset.values, radii=dataset.radii, closures=offered)

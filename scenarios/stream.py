@@ -45,6 +45,7 @@ def run(largest: int, seed: int, state: Path | None, tell: Callable[[str], None]
     tell : callable
         Told each row in words.
     """
+    # the stream as a process
     words = [*COMMAND, str(RADIUS_M), *([] if state is None else ["--state", str(state)])]
     rows: list[Row] = []
     steps, closings, accepted = list[Times](), list[tuple[int, Times]](), 0
@@ -57,6 +58,7 @@ def run(largest: int, seed: int, state: Path | None, tell: Callable[[str], None]
             answer = json.loads(stream.stdout.readline())
             return answer, (time.perf_counter() - started, _busy_s(stream.pid) - busy)
 
+        # every keyframe, answer by answer
         for k, (factors, _, closures) in enumerate(drive(largest, seed)):
             for between in between_factors(factors):
                 steps.append(asked(_line(between) + PROBE)[1])

@@ -186,6 +186,7 @@ def _audit(
     stage: Callable[[str], None],
 ) -> _Audited:
     """Read, optimise, find the radius, diagnose: numbered steps of every command that audits a map."""
+    # the map, or its optimum
     stage("reading")
     metres = None if radius in (None, "auto") else _metres(str(radius))
     dataset, radii = read_map(files, metres, cloud)
@@ -197,6 +198,7 @@ def _audit(
         before, after = dataset.graph.error(dataset.values), dataset.graph.error(best)
         notes.append(f"the optimum is audited: error {before:.4g} as stored, {after:.4g} there")
 
+    # radii
     adaptation: dict[str, Any] = {
         "edges": split_names(edges),
         "min_shared_landmarks": min_shared_landmarks,
@@ -208,6 +210,7 @@ def _audit(
     elif metres is not None:
         notes.append(f"radius {metres:g} m around every keyframe is what --radius says; --radius-sweep tries others")
 
+    # diagnose, and keep the settings beside the result
     found = diagnosis.diagnose(dataset.graph, best, radii=radii, beta=beta, progress=stage, **adaptation)
     adapted = found.pose_graph.adaptation
     options = {

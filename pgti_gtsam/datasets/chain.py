@@ -119,7 +119,7 @@ def place_by_factors(keys: Sequence[int], betweens: Sequence[Between], origin: P
     """Place poses by chaining factors from the first key, along steps of the track as far as these lead.
 
     A breadth-first search in which a step costs nothing and another factor 1. Poses that no chain of
-    factors reaches are left out.
+    factors reaches are left out. (SciPy's csgraph takes an edge of length zero for no edge.)
 
     Parameters
     ----------

@@ -65,9 +65,12 @@ def _is_disjoint(files: Sequence[TextFile]) -> bool:
 
 def _side_by_side(datasets: Sequence[Dataset]) -> Dataset:
     """A dataset whose keys tell their file by the letter."""
+    # files of one dimension
     kinds = {type(pose).__name__ for dataset in datasets for pose in poses_of(dataset.values).values()}
     if len(kinds) > 1:
         raise InvalidOptionError("expected files of one map, got poses in the plane in some and in space in others")
+
+    # factors, poses and landmarks of each file under their new keys
     graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
     radii: dict[int, float] = {}
     closures: list[int] = []
@@ -90,6 +93,8 @@ def _side_by_side(datasets: Sequence[Dataset]) -> Dataset:
         radii |= {keys[key]: radius for key, radius in (dataset.radii or {}).items()}
         first, last = (key_label(keys[key]) for key in (min(poses), max(poses)))
         notes += [f"{dataset.name}: {len(poses)} keyframes {first} to {last}", *dataset.notes]
+
+    # one dataset
     return Dataset(
         name=" + ".join(dataset.name for dataset in datasets),
         format=datasets[0].format,

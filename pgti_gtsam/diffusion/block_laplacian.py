@@ -116,6 +116,7 @@ def normal_equations(linearisation: Linearisation) -> NormalEquations:
 
 def _block_pseudo_inverse(matrix: sparse.csr_array) -> sparse.csr_array:
     """Pseudo-inverse of a symmetric positive semidefinite matrix, connected group by group."""
+    # connected groups
     _, labels = csgraph.connected_components(matrix, directed=False)
     order = np.argsort(labels, kind="stable")
     sizes = np.bincount(labels)
@@ -124,6 +125,8 @@ def _block_pseudo_inverse(matrix: sparse.csr_array) -> sparse.csr_array:
             f"expected other variables in groups of at most {LARGEST_ELIMINATED} dimensions, got {sizes.max()}; "
             "marginalise them before, or leave their factors out"
         )
+
+    # all groups of a size at once, as a stack of dense matrices
     permuted, starts = matrix[order][:, order], np.cumsum(sizes) - sizes
     coo = sparse.coo_array(permuted)
     rows, columns, entries = [], [], []
@@ -140,6 +143,8 @@ def _block_pseudo_inverse(matrix: sparse.csr_array) -> sparse.csr_array:
         rows.append(order[(starts[chosen][:, None, None] + within[0])].ravel())
         columns.append(order[(starts[chosen][:, None, None] + within[1])].ravel())
         entries.append(np.linalg.pinv(dense, rcond=1e-12, hermitian=True).ravel())
+
+    # back to the order of the variables
     parts = [np.concatenate(part) for part in (entries, rows, columns)]
     return sparse.coo_array((parts[0], (parts[1], parts[2])), shape=matrix.shape).tocsr()
 

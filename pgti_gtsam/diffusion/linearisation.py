@@ -208,12 +208,15 @@ def linearised(
     MissingValueError, InvalidValueError, UnsolvableGraphError
         Those of `linearise`.
     """
+    # a value of every key
     named = f"{type(factor).__name__} in slot {slot}"
     for key in factor.keys():  # noqa: SIM118
         if key not in dims:
             raise MissingValueError(
                 f"expected a value of every key, got none of {gtsam.DefaultKeyFormatter(key)} of {named}"
             )
+
+    # GTSAM's linearisation, refused where it fails or is constrained
     try:
         linear = factor.linearize(values)
         if linear is None:
@@ -228,6 +231,8 @@ def linearised(
         raise UnsolvableGraphError(
             f"expected factors that GTSAM can linearise, got {named}: {_first_line(error)}"
         ) from error
+
+    # finite numbers
     if not (np.isfinite(matrix).all() and np.isfinite(right).all()):
         raise InvalidValueError(f"expected factors of finite error and Jacobian, got another in {named}")
     return list(linear.keys()), matrix, -right

@@ -91,6 +91,7 @@ def _placed(
     closure: gtsam.NonlinearFactorGraph, keyframes: Keyframes, key: int, starts: Sequence[Any], unit_m: float
 ) -> Any | None:
     """Pose of a keyframe by factors to variables that stay fixed, from the best of several starts."""
+    # the factors of the keyframe, every other variable fixed at its value
     factors = [factor for factor in factors_of(closure) if key in keys_of(factor)]
     graph, values = graph_of(factors), gtsam.Values()
     for other in sorted({k for factor in factors for k in keys_of(factor)} - {key}):
@@ -104,6 +105,8 @@ def _placed(
                 break
         else:
             return None
+
+    # the best optimum of all starts
     found = []
     for start in starts:
         tried = gtsam.Values(values)

@@ -131,18 +131,23 @@ def analyse(n_vertices: int, edges: IntArray) -> EliminationTree:
     edges : (m, 2) int
         Pairs of distinct vertices. Any graph on a subset of these edges can use the result.
     """
+    # order, tree and postorder
     order, structure = _ordered_structure(n_vertices, edges)
     counts, parents = _columns(structure)
     post = _postorder(parents, counts)
     ranks = np.empty_like(post)
     ranks[post] = np.arange(n_vertices)
     parents = np.where(parents[post] >= 0, ranks[parents[post]], -1)
+
+    # supernodes with their rows, and the rows' places in the parents
     starts, tops = _supernodes(counts[post], parents)
     owners = np.repeat(np.arange(len(tops)), np.diff(starts))
     rows, super_parents = _rows(structure, post, ranks, starts, owners)
     row_starts = np.concatenate([[0], np.cumsum([len(r) for r in rows])]).astype(np.int64)
     flat = np.concatenate([*rows, np.empty(0, dtype=np.int64)])
     into_parent = _local(starts, row_starts, flat, np.repeat(super_parents, np.diff(row_starts)), flat)
+
+    # the vertices in postorder
     order = order[post]
     positions = np.empty_like(order)
     positions[order] = np.arange(n_vertices)
@@ -206,10 +211,13 @@ def _supernodes(counts: IntArray, parents: IntArray) -> tuple[IntArray, IntArray
     pivot, so that a long chain is cut at the best width instead of absorbing column after column. A root stays
     alone: with all other vertices eliminated the row sum is the pivot, and the null vector survives any shift.
     """
+    # the supernodes so far: first columns, estimated times, last columns
     first, costs, tops = [0], [_cost(1, counts[0])] if len(counts) else [], [0]
     count, parent = counts.tolist(), parents.tolist()
     for column in range(1, len(count)):
         start, height = column, count[column]
+
+        # merge the column with its children as long as that saves time
         cost = _cost(1, height)
         while height and tops and parent[tops[-1]] == column:
             merged_width = column + 1 - first[-1]
@@ -221,6 +229,8 @@ def _supernodes(counts: IntArray, parents: IntArray) -> tuple[IntArray, IntArray
             start, cost = first.pop(), merged
             costs.pop()
             tops.pop()
+
+        # a supernode that ends at this column
         first.append(start)
         costs.append(cost)
         tops.append(column)

@@ -106,6 +106,7 @@ def _ball(laplacian: sparse.csc_array, seeds: IntArray, size: int) -> IntArray:
 
 
 def _on_ball(laplacian: sparse.csc_array, vertices: IntArray, inserted: IntArray, times: FloatArray) -> LocalChange:
+    # the ball and the fit
     block = sparse.csc_array(laplacian[:, vertices].tocsr()[vertices])
     grounds = np.maximum(block.sum(axis=0), 0.0)  # edges that lead out of the ball
     upper = sparse.triu(block, k=1).tocoo()
@@ -115,6 +116,7 @@ def _on_ball(laplacian: sparse.csc_array, vertices: IntArray, inserted: IntArray
     slowest = 1 / float(times.max())
     shifts, fit = _fitted(tuple(times.tolist()), 2.0 ** np.ceil(np.log2(2 * degree)))
 
+    # the resolvents' change by the inserted edges, and of the heat that leaves
     factor = factorise(FrontEntries.of(tree, block, grounds), np.append(shifts, 0.5 * slowest))
     columns = solve(factor, np.column_stack([incidence(len(vertices), ends), grounds[tree.order]]))
     y, escape = columns[:-1, :, :-1], columns[:-1, :, -1]
@@ -122,6 +124,7 @@ def _on_ball(laplacian: sparse.csc_array, vertices: IntArray, inserted: IntArray
     drop = np.einsum("pnk,pnk->pn", y @ inverse, y)[:, tree.positions]
     escape_after = escape - (y @ (inverse @ differences(escape[:, :, None], ends)))[:, :, 0]
 
+    # bound: heat that has left reaches the ball again by the ends alone
     diagonals = inverse_diagonal(factor)[:-1]
     left, left_after = (_probability_left(e[:, ends], shifts, fit) for e in (escape, escape_after))
     resistances = np.e * np.diagonal(differences(columns[-1:, :, :-1], ends)[0]).real

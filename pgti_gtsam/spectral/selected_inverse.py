@@ -149,6 +149,7 @@ def factorise(entries: FrontEntries, shifts: ComplexArray) -> Factor:
     pending: dict[int, tuple[ComplexArray, ComplexArray]] = {}
     inverses, couplings = [], []
     for k, (w, m, parent, into) in enumerate(tree.visits()):
+        # the front: children's updates and own entries
         front, sums = pending.pop(k) if k in pending else _blank(p, m)
         span = slice(entries.starts[k], entries.starts[k + 1])
         front.reshape(p, m * m)[:, entries.places[span]] += entries.values[span]
@@ -157,6 +158,8 @@ def factorise(entries: FrontEntries, shifts: ComplexArray) -> Factor:
         if parent >= 0 and parent not in pending:
             pending[parent] = _blank(p, fronts[parent])
         places = _places(into, fronts[parent]) if parent >= 0 else into
+
+        # eliminate the pivots, and hand the update to the parent
         for part in _parts(p, m):
             sums[part, :w] += shifts[part, None] + grounds
             _set_diagonal(front[part], sums[part, :w])
@@ -179,12 +182,15 @@ def inverse_diagonal(factor: Factor) -> ComplexArray:
     pending: dict[int, ComplexArray] = {}
     children = tree.children()
     for k, (w, m, _, _) in reversed(list(enumerate(tree.visits()))):
+        # the inverse on the rows, from the parent
         inverse, coupling = factor.inverses[k], factor.couplings[k]
         z = pending.pop(k) if k in pending else np.empty((p, m, m), dtype=complex)
         vertices = tree.order[tree.starts[k] : tree.starts[k + 1]]
         below = [(c, len(into), _places(into, m)) for c, into in children[k]]
         for c, _, _ in below:
             pending[c] = np.empty((p, fronts[c], fronts[c]), dtype=complex)
+
+        # the inverse on the pivots, and the children's share
         for part in _parts(p, m):
             cross = coupling[part] @ z[part, w:, w:]
             if not below:

@@ -200,11 +200,15 @@ class _WeightedEdges:
 
 def _largest(graph: _WeightedEdges) -> float:
     n = graph.laplacian.shape[0]
+
+    # an estimate from below, a bound from above
     vector, residual = _dominant(graph.apply, np.random.default_rng(0).standard_normal(n))
     lower, upper = graph.rayleigh_quotient(vector), graph.upper_bound() * (1 + 1e-12)
     for _ in range(MAX_ROUNDS):
         if upper - lower <= RELATIVE_TOLERANCE * lower:
             break
+
+        # count the eigenvalues above a shift just beyond the estimate
         shift = min(upper, lower + max(2 * residual, CERTIFIED_GAP * lower))
         factor = _factorise(_shifted(graph.laplacian, shift))
         if shift < upper and _negative_pivots(factor) < n:  # an eigenvalue lies above the shift
@@ -213,6 +217,8 @@ def _largest(graph: _WeightedEdges) -> float:
         upper = shift
         if residual <= CONVERGED * lower:
             break
+
+        # improve the estimate by shift-invert at the bound
         vector, relative_residual = _dominant(lambda x, lu=factor: -lu.solve(x), vector)  # type: ignore[misc]
         lower = max(lower, graph.rayleigh_quotient(vector))
         residual = relative_residual * (shift - lower) ** 2
@@ -252,11 +258,13 @@ _TOO_FAR_APART = (
 
 def _dominant(operator: Operator, start: FloatArray) -> tuple[FloatArray, float]:
     """Lanczos with full reorthogonalisation: Ritz vector of the largest eigenvalue, and the norm of the residual."""
+    # basis and tridiagonal matrix
     n_steps = min(MAX_LANCZOS_STEPS, len(start))
     basis = np.zeros((n_steps, len(start)))
     diagonal, below = np.zeros(n_steps), np.zeros(n_steps)
     q = start / np.linalg.norm(start)
     for k in range(n_steps):
+        # one step, orthogonal to all before
         basis[k] = q
         image = operator(q)
         diagonal[k] = q @ image
@@ -266,6 +274,8 @@ def _dominant(operator: Operator, start: FloatArray) -> tuple[FloatArray, float]
         scale = np.abs(diagonal[: k + 1]).max()
         if not np.isfinite(scale):
             raise UnsolvableGraphError(_TOO_FAR_APART)
+
+        # the Ritz vector, now and then
         if k % CHECK_EVERY == 0 or k == n_steps - 1 or below[k] <= CONVERGED * scale:
             value, vectors = linalg.eigh_tridiagonal(diagonal[: k + 1], below[:k], select="i", select_range=(k, k))
             ritz, residual = vectors[:, 0], float(below[k] * abs(vectors[-1, 0]))
@@ -278,7 +288,8 @@ def _dominant(operator: Operator, start: FloatArray) -> tuple[FloatArray, float]
 def _pseudo_inverse(graph: _WeightedEdges, labels: IndexArray) -> Operator:
     """b -> L⁺ b: conjugate gradients on edge-wise products, preconditioned by a grounded factorisation.
 
-    A single step suffices while the weights are of equal size: the factorisation is then as good as exact.
+    A single step suffices while the weights are of equal size: the factorisation is then as good as exact. SciPy's `cg`
+    forms the energy of a direction as pᵀ L p and so loses weak edges beside strong edges.
     """
     free = _ungrounded(labels)
     factor = _factorise(_restrict(graph.laplacian, free))

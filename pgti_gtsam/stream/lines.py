@@ -166,6 +166,7 @@ def read(message: Message, line: int, parameters: Mapping[str, str]) -> Read:
         A malformed line; a line of an unknown kind; a line that ties a vertex to itself, or sees a landmark at no
         distance.
     """
+    # known lines
     own = {" ".join(text.split()[:2]): text for text in message.texts if text.startswith(tuple(PARAMETERS))}
     before = [text for name, text in parameters.items() if name not in own]
     file = split_lines(Path("stream"), "\n".join((*before, *message.texts)))
@@ -176,6 +177,8 @@ def read(message: Message, line: int, parameters: Mapping[str, str]) -> Read:
         )
     for tag, width in PARAMETERS.items():
         file.table(tag, ids=1, widths=[width])
+
+    # vertices and ties
     said = {tag for tag in file.tags if tag not in PARAMETERS}
     poses = g2o.pose_vertices(file) if said & g2o.POSES.keys() else {}
     return Read(
@@ -195,6 +198,7 @@ def _read_radii(file: TextFile) -> dict[int, float]:
 
 def _ties(file: TextFile, said: set[str], message: Message, line: int) -> list[Tie]:
     """The factors of lines as a single tie; None without factors."""
+    # factors, none of which may be left out
     entries: list[Entry] = pose_edges(file) if said & EDGES.keys() else []
     entries += g2o.positions(file) if g2o.POSITION in said else []
     seen: list[Sighting] = landmarks(file) if said & SIGHTING_TAGS else []
@@ -203,6 +207,8 @@ def _ties(file: TextFile, said: set[str], message: Message, line: int) -> list[T
         raise InvalidOptionError(f"expected two ends that are apart, got a line without: {file.notes[-1]}")
     if not expected:
         return []
+
+    # in the order of the lines
     by_line: list[Entry | Sighting] = sorted([*entries, *seen], key=itemgetter(0))
     factors = [named.factor for named in by_line]
     single = seen[0] if len(factors) == 1 and seen else None

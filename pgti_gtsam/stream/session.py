@@ -224,11 +224,15 @@ class Session:
             tie = pending.popleft()
             if tie.is_taken:
                 continue
+
+            # the variables that the tie brings
             missing = [key for key in tie.keys if not self.isam.valueExists(key)]
             value = self._value(tie, missing) if len(missing) == 1 else None
             if missing and value is None:
                 self._wait(tie)
                 continue
+
+            # into the smoother, and on to ties that waited for those
             tie.is_taken = True
             try:
                 answers += self._update(tie, missing, value)

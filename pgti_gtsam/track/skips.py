@@ -79,7 +79,10 @@ def explained(n: int, chain: NDArray[np.int64], steps: Sequence[Tie], ties: Sequ
 
 
 def _reckoned(n: int, steps: Sequence[Tie]) -> tuple[list[gtsam.Pose3], NDArray[np.int64]]:
-    """Poses of n keyframes chained from the first of every part that measured steps hold together, and the parts."""
+    """Poses of n keyframes chained from the first of every part that measured steps hold together, and the parts.
+
+    Each search is as long as its part; a search of SciPy's csgraph is as long as the whole graph.
+    """
     leading: list[list[tuple[int, gtsam.Pose3]]] = [[] for _ in range(n)]
     for tie in steps:
         if tie.pose is not None:

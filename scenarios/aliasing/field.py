@@ -54,6 +54,7 @@ def problem(path: Path, seed: int, share: float, kind: str = "random") -> Proble
     kind : str
         Of `KINDS`.
     """
+    # the published graph
     if not path.is_file():
         raise InvalidOptionError(
             f"expected a standard graph, got no file {path}; --data names the folder of the graphs"
@@ -64,12 +65,16 @@ def problem(path: Path, seed: int, share: float, kind: str = "random") -> Proble
     prior = (gtsam.PriorFactorPose2 if planar else gtsam.PriorFactorPose3)(
         0, start, gtsam.noiseModel.Isotropic.Sigma(3 if planar else 6, 1e-3)
     )
+
+    # true closures, by the optimum, and false closures
     slots = datasets.closure_slots(dataset)
     steps = [dataset.graph.at(slot) for slot in range(dataset.graph.size()) if slot not in set(slots)]
     odometry, inliers = graph_of([prior, *steps]), [dataset.graph.at(slot) for slot in slots]
     truth = true_poses(odometry, inliers, dataset.values, datasets.chain_odometry(dataset))
     drawn, n_outliers = _outliers(truth, inliers, kind, random), max(1, round(share * len(inliers)))
     factors = [*inliers, *(next(drawn) for _ in range(n_outliers))]
+
+    # in time order
     order = sorted(range(len(factors)), key=lambda k: (max(factors[k].keys()), min(factors[k].keys()), k))
     places = np.array([pose.translation() for pose in poses_of(truth).values()])
     return Problem(

@@ -26,6 +26,7 @@ def draw(rows: Sequence[dict[str, Any]], path: Path) -> None:
     rows : sequence of mapping
     path : Path
     """
+    # a curve a method in each panel
     figure, axes = plt.subplots(1, 3, figsize=(16, 4.4), layout="constrained", sharey=True)
     for k, method in enumerate(METHODS):
         style = {"color": f"C{k - 1}", "lw": 1.0, "ls": "-" if k < 6 else "--"}
@@ -39,6 +40,8 @@ def draw(rows: Sequence[dict[str, Any]], path: Path) -> None:
         curves = [r["precisions"] for r in own if (r["setting"], r["share"]) == ("right", 1.0) and "precisions" in r]
         if curves:
             axes[2].plot(measures.RECALLS, np.mean(curves, axis=0), label=method, **style)
+
+    # axes
     axes[0].set_xticks(range(len(TOLD)), TOLD)
     axes[0].set(xlabel="sigmas that methods are told", ylabel="F1 of accepted true closures", ylim=(0, 1.05))
     axes[1].set(xlabel="false closures per true one, right sigmas")

@@ -1,6 +1,7 @@
 """A process of its own for methods that may not come to an end: run as `python -m scenarios.aliasing.helper FD`.
 
-Limits are of processor time, so that what else runs on a machine does not decide which method has an answer.
+Limits are of processor time, so that the load of a machine does not decide which method has an answer. Workers of
+pebble have limits of wall time, and cannot be started in the workers of Dask, which run the trials.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ ROOT = Path(__file__).parents[2]
 
 
 class Helper:
-    """Solves problems, one after another, and is replaced when one takes too long."""
+    """Solves problems in turn, in a process that is replaced when a problem takes too long."""
 
     def __init__(self) -> None:
         self._process: subprocess.Popen[bytes] | None = None
@@ -27,6 +28,14 @@ class Helper:
 
     def solve(self, problem: Problem, method: str, limit_s: float) -> Any:
         """The method's `Outcome`.
+
+        Parameters
+        ----------
+        problem : Problem
+        method : str
+            Name in `METHODS`.
+        limit_s : float
+            Limit of processor time, s.
 
         Raises
         ------

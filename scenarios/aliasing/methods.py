@@ -121,6 +121,7 @@ def _gate(problem: Problem, rule: str) -> Answer:
 
 def _chi_squared(problem: Problem) -> Answer:
     """In time order: the closure's error against the error's covariance given all before, by iSAM2."""
+    # the smoother without closures
     parameters = gtsam.ISAM2Params()
     parameters.setFactorization("QR")  # Cholesky loses a chain as stiff as that of MIT.g2o
     parameters.relinearizeSkip = 1
@@ -130,6 +131,7 @@ def _chi_squared(problem: Problem) -> Answer:
     accepted, squares = np.zeros(len(problem.closures), dtype=bool), np.zeros(len(problem.closures))
     values = isam.calculateBestEstimate()
     for k, closure in enumerate(problem.closures):
+        # error and covariance of the closure
         factor = closure.at(0)
         i, j = factor.keys()
         spread = isam.jointMarginalCovariance([i, j])
@@ -138,6 +140,8 @@ def _chi_squared(problem: Problem) -> Answer:
         right, n = np.asarray(right), factor.dim()
         jacobian = jacobian.reshape(n, 2 * n)
         squares[k] = right @ np.linalg.solve(np.eye(n) + jacobian @ joint @ jacobian.T, right)
+
+        # the test
         if squares[k] <= stats.chi2.ppf(CONFIDENCE, n):
             accepted[k] = True
             isam.update(closure, gtsam.Values())
@@ -255,12 +259,15 @@ def _pairwise_consistent(problem: Problem) -> Answer:
 
 
 def _consistent(problem: Problem) -> NDArray[np.bool_]:
+    # covariance of the way from the first pose, in the axes of the map
     poses = problem.poses(problem.values)
     steps = [problem.graph.at(s) for s in range(1, problem.graph.size())]
     sums = [np.zeros_like(poses[0].AdjointMap())]
     for pose, step in zip(poses[1:], steps, strict=True):
         adjoint = pose.AdjointMap()
         sums.append(sums[-1] + adjoint @ _covariance(step) @ adjoint.T)
+
+    # every pair of closures by the loop that the two make
     closures = [closure.at(0) for closure in problem.closures]
     n, limit = len(closures), stats.chi2.ppf(CONFIDENCE, len(sums[0]))
     agree = np.zeros((n, n), dtype=bool)

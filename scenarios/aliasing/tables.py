@@ -55,6 +55,7 @@ def summary(rows: Sequence[dict[str, Any]]) -> str:
     )
     lines = [head, "|---|" + "---|" * 8]
     for method in dict.fromkeys(row["method"] for row in rows):
+        # measures of a method
         own = [row for row in rows if row["method"] == method]
         known = [row for row in own if "failed" not in row]
         areas = [row["auc"] for row in known if row["auc"] is not None]
@@ -65,6 +66,7 @@ def summary(rows: Sequence[dict[str, Any]]) -> str:
         def median(name: str, known: list[dict[str, Any]] = known) -> float:
             return float(np.median([row[name] for row in known])) if known else np.nan
 
+        # a line
         lines.append(
             f"| {method} | {np.mean(areas) if areas else np.nan:.2f} | {total('true_accepted')} of {total('true')} | "
             f"{total('false_accepted')} of {total('false')} | "

@@ -122,6 +122,7 @@ def row(trial: Trial, limit_s: float) -> dict[str, Any]:
     limit_s : float
         Time of a method, s.
     """
+    # the problem and the method's answer
     given = problem(*trial[:4])
     found: dict[str, Any] = trial.key()._asdict()
     true, seen = given.true, given.overlapping
@@ -130,6 +131,8 @@ def row(trial: Trial, limit_s: float) -> dict[str, Any]:
         outcome = _helper.solve(given, trial.method, limit_s)
     except (RuntimeError, TimeoutError) as error:
         return found | counts | {"failed": str(error), "f1": 0.0, "f1_with_overlap": 0.0, "success": False}
+
+    # measures
     kept = outcome.accepted
     places = np.array([pose.translation() for pose in given.poses(given.truth)])
     extent = float(np.ptp(places, axis=0).max())

@@ -117,11 +117,14 @@ def draw(described_maps: Sequence[dict[str, Any]], path: Path) -> None:
 
 def _diagnosed(axis: Axes, each: dict[str, Any]) -> None:
     """The map with its places, places of little weight below the others."""
+    # the track under a title
     places = np.array(each["map"])
     is_right = each["verdict"] == each["expected"]
     title = f"{each['damage']}: {each['verdict']}" + ("" if is_right else f"\n(right: {each['expected']})")
     _track(axis, places, title)
     axis.title.set_color("black" if is_right else "tab:red")
+
+    # places, and false closures
     for place in reversed(each["places"]):
         for first, last in place["stretches"]:
             stretch = places[first : last + 1]

@@ -68,15 +68,20 @@ def intact(name: str, data: Path) -> tuple[Intact, list[int], float]:
     data : Path
         Folder of all data.
     """
+    # the optimum
     dataset, given = _read(name, data), RADII[name]
     radii = dataset.radii if given is None else given
     optimum = optimised(dataset.graph, dataset.values)
     poses, closures = poses_of(optimum), datasets.closure_slots(dataset)
+
+    # factors without closures
     closing = set(closures)
     base = gtsam.NonlinearFactorGraph()
     for slot in range(dataset.graph.size()):
         if slot not in closing:
             base.push_back(dataset.graph.at(slot))
+
+    # the map
     found = Intact(
         base=base,
         revisits=_revisits(dataset, sorted(poses)),

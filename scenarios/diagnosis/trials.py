@@ -98,6 +98,7 @@ def row(trial: Trial, data: Path | None) -> dict[str, Any]:
     data : Path, optional
         Folder of all data.
     """
+    # the diagnosis
     try:
         built = case(trial, data)
         begun = time.perf_counter()
@@ -105,6 +106,8 @@ def row(trial: Trial, data: Path | None) -> dict[str, Any]:
         seconds = time.perf_counter() - begun
     except PgtiError as error:
         return trial._asdict() | {"failed": str(error)}
+
+    # beside the truth
     right = expected(built, found.pose_graph)
     return (
         trial._asdict()

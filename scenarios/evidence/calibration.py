@@ -202,6 +202,7 @@ def draw(rows: Sequence[dict[str, Any]], path: Path) -> None:
     rows : sequence of mapping
     path : Path
     """
+    # shares in bins, worlds with intervals
     figure, (above, below) = plt.subplots(
         2, 1, figsize=(6.8, 6.0), layout="constrained", sharex=True, height_ratios=[3, 1]
     )
@@ -217,6 +218,8 @@ def draw(rows: Sequence[dict[str, Any]], path: Path) -> None:
         low, high = np.transpose([_interval(true[each]) for each in there])
         above.errorbar(mean, share, [share - low, high - share], fmt="o", color="black", capsize=3, label=name)
         below.bar((np.arange(BINS) + 0.5) / BINS, [each.sum() for each in inside], 0.09, color="black")
+
+    # axes
     above.set(ylabel="share that is true", ylim=(-0.02, 1.02))
     above.legend(fontsize=8, loc="upper left", bbox_to_anchor=(1.0, 1.0))
     below.set(xlabel="decision.probability", ylabel="closures", yscale="log", xlim=(-0.02, 1.02))

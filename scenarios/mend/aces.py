@@ -39,12 +39,15 @@ SIGMAS = np.array([0.05, 0.05, 0.02])
 
 def row(path: Path) -> dict[str, Any]:
     """Errors of the odometry, of the mended map and of GNC's."""
+    # odometry alone, mended
     whole = datasets.read(path)
     relations = [whole.graph.at(slot) for slot in whole.closures or ()]
     dataset = replace(whole, graph=_odometry(whole), closures=())
     started = time.process_time()
     mended = pgti.mend(dataset.graph, dataset.values, pgti.scans_of(dataset.scans), radii=dataset.radii)
     seconds = time.process_time() - started
+
+    # GNC over all fits
     started = time.process_time()
     fits = _brute_force(dataset)
     robust = _gnc(dataset, fits)

@@ -44,11 +44,14 @@ def row(path: Path, kind: str, seed: int) -> dict[str, Any]:
         Kind of damage.
     seed : int
     """
+    # damage and mend
     dataset = datasets.read(path)
     graph, false = damaged(dataset, kind, np.random.default_rng(seed))
     started = time.process_time()
     mended = pgti.mend(graph, chained(dataset), pgti.scans_of(dataset.scans), radii=dataset.radii)
     seconds = time.process_time() - started
+
+    # against the published graph
     full = optimised(dataset.graph, dataset.values)
     missed = np.array([_missed(dataset, attempt) for attempt in mended.of("confirmed")])
     whole = pgti.diagnose(dataset.graph, full, radii=dataset.radii)
@@ -90,16 +93,21 @@ def damaged(dataset: Dataset, kind: str, random: np.random.Generator) -> tuple[g
         Kind of damage.
     random : np.random.Generator
     """
+    # loops to keep, and loops to make false
     loops = np.array(dataset.closures)
     n_kept = {"intact": len(loops), "odometry": 0}.get(kind, len(loops) // 10)
     kept = random.choice(loops, n_kept, replace=False).tolist()
     n_false = max(1, len(kept) // 10) if kind == "a tenth, some false" else 0
+
+    # odometry and true loops
     graph, false = gtsam.NonlinearFactorGraph(), set()
     for slot in range(dataset.graph.size()):
         if slot not in dataset.closures:
             graph.push_back(dataset.graph.at(slot))
     for slot in kept[n_false:]:
         graph.push_back(dataset.graph.at(slot))
+
+    # false loops, whose claim lies apart from the truth
     for slot in kept[:n_false]:
         factor = dataset.graph.at(slot)
         first, other = factor.keys()[0], dataset.graph.at(int(random.choice(loops)))

@@ -33,6 +33,7 @@ def run(data: Path | None, seeds: Sequence[int], out: Path, tell: Callable[[str]
         tell(f"{table}: {known}")
         outputs.write_text(out, json.dumps(found, indent=1) + "\n")
 
+    # every experiment
     for log, kind in [(log, kind) for kind in logs.KINDS for log in logs.LOGS] if data is not None else []:
         for seed in seeds if kind.startswith("a tenth") else seeds[:1]:
             path = Path(data or "") / "scan_pose_graphs" / f"{log}.log"

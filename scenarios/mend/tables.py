@@ -11,10 +11,14 @@ Row = Mapping[str, Any]
 def lines(found: Mapping[str, Sequence[Row]]) -> list[str]:
     """All tables as Markdown."""
     told: list[str] = []
+
+    # logs
     if found.get("logs"):
         head = ["log", "loops", "seed", "given", "ties in", "false in", "false out", "true out", "collisions"]
         rows = [_log(row) for row in found["logs"]]
         told += _table([*head, "ATE before, after, full (m)", "cells before, after, full, published"], rows)
+
+    # ACES
     if found.get("aces"):
         for row in found["aces"]:
             told += [
@@ -27,6 +31,8 @@ def lines(found: Mapping[str, Sequence[Row]]) -> list[str]:
                 for name, each in row["errors"].items()
             ]
             told += _table(["map", "mean (m)", "median (m)", "worst (m)", "mean (deg)"], errors)
+
+    # worlds
     if found.get("worlds"):
         head = ["world", "seed", "keyframes", "ties in", "false in", "wrong floor", "naive: ties, false, wrong floor"]
         rows = [_world(row) for row in found["worlds"]]

@@ -74,11 +74,14 @@ def _processor_seconds() -> float:
 
 def _told(driven: worlds.Drive, document: dict[str, Any], mended: datasets.Dataset) -> dict[str, Any]:
     """The mended map against the truth."""
+    # ties by their distance from the truth
     truth, start = driven.truth, driven.truth[0]
     poses = [mended.values.atPose3(key) for key in range(len(truth))]
     ties = [mended.graph.at(slot) for slot in range(mended.graph.size())]
     ends = [(factor.keys(), factor.measured()) for factor in ties if abs(factor.keys()[0] - factor.keys()[1]) > 1]
     missed = [float(np.linalg.norm(truth[i].between(truth[j]).between(z).translation())) for (i, j), z in ends]
+
+    # what a matcher without a gate ties
     heights = np.array([pose.z() for pose in truth])
     naive = driven.pairs[~driven.true]
     return {

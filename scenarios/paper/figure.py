@@ -25,6 +25,7 @@ def draw_maps(found: Sequence[dict[str, Any]], path: Path) -> None:
         Rows of the table, with maps.
     path : Path
     """
+    # a panel a map
     columns = 4
     height = -(-len(found) // columns)
     figure, axes = plt.subplots(height, columns, figsize=(14, 3.3 * height), layout="constrained", squeeze=False)
@@ -40,6 +41,8 @@ def draw_maps(found: Sequence[dict[str, Any]], path: Path) -> None:
         )
         axis.set_aspect("equal", adjustable="datalim")
         axis.tick_params(labelsize=6)
+
+    # empty panels
     for axis in axes.flat[len(found) :]:
         axis.axis("off")
     with outputs.drawn(path) as part:
@@ -56,6 +59,7 @@ def draw_growth(found: Sequence[dict[str, Any]], path: Path) -> None:
         Rows of `growth`.
     path : Path
     """
+    # a panel a score and an end
     names = {"score": "Λ", "stable_score": "stable score", "open_stable_score": "stable score, open ends"}
     figure, axes = plt.subplots(2, len(names), figsize=(11, 5.6), layout="constrained", sharex=True, sharey=True)
     for line, end, where in zip(axes, ("far", "near"), ("away from the defect", "at the defect's end"), strict=True):
@@ -69,6 +73,8 @@ def draw_growth(found: Sequence[dict[str, Any]], path: Path) -> None:
             axis.set_title(f"{title}, grown {where}", fontsize=9)
             axis.set_xticks([1, 4, 16, 64], ["1", "4", "16", "64"])
             axis.minorticks_off()
+
+    # axes
     axes[0, 0].legend(fontsize=7)
     axes[0, 0].set(ylim=(0, 1.6), ylabel="part of the small map's")
     axes[1, 0].set(xlabel="map, times the small one", ylabel="part of the small map's")

@@ -44,6 +44,8 @@ def run(data: Path | None, largest: int, dense_up_to: int, tell: Callable[[str],
     """
     if data is not None and not data.is_dir():
         raise InvalidOptionError(f"expected a folder with the real graphs, got {data}")
+
+    # solvers
     rows = []
     for case in solvers.cases(data, largest):
         for row in in_fresh_process("solvers", case, dense_up_to, data):
@@ -53,6 +55,8 @@ def run(data: Path | None, largest: int, dense_up_to: int, tell: Callable[[str],
                 f"{row['peak_megabytes']:7.0f} MB  ζ error {row['zeta_error']}"
             )
     found = {"machine": f"{platform.machine()}, {os.cpu_count()} cores", "solvers": rows, "growth": growth(rows)}
+
+    # the parts
     for part, cases in PARTS.items():
         found[part] = [row for case in cases(data) for row in in_fresh_process(part, case, dense_up_to, data)]
         for row in found[part]:

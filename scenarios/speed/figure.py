@@ -38,6 +38,7 @@ def draw(found: dict[str, Any], path: Path) -> None:
     for axis, quantity, unit in zip(
         axes, ("seconds", "peak_megabytes"), ("processor time, s", "peak memory, MB"), strict=True
     ):
+        # synthetic graphs
         for (family, line), (solver, (colour, marker)) in (
             (f, s) for f in (("chain", "-"), ("laps", "--")) for s in STYLES.items()
         ):
@@ -55,6 +56,8 @@ def draw(found: dict[str, Any], path: Path) -> None:
                     ms=4,
                     label=_label(found, family, solver),
                 )
+
+        # real graphs
         for solver, (colour, marker) in STYLES.items():
             real = [
                 row
@@ -69,6 +72,8 @@ def draw(found: dict[str, Any], path: Path) -> None:
                 edgecolors=colour,
                 marker=marker,
             )
+
+        # axes
         axis.set(xscale="log", yscale="log", xlabel="keyframes", ylabel=unit)
         axis.grid(alpha=0.3, which="both", lw=0.4)
     axes[0].legend(fontsize=7)

@@ -65,6 +65,8 @@ def audit(case: str, data: Path) -> list[Row]:
         Folder of all data.
     """
     watch = Stopwatch()
+
+    # the steps of `assess`
     dataset, radii = _mapped(case, data)
     watch.look("reading")
     pose_graph = pgti.from_gtsam(dataset.graph, dataset.values, radii=radii)
@@ -78,6 +80,8 @@ def audit(case: str, data: Path) -> list[Row]:
     watch.look("spectra")
     compare_optimality(pose_graph, support, kernels)
     watch.look("optimality")
+
+    # the whole
     pgti.assess(pose_graph)
     watch.look("all of assess")
     found = pgti.diagnose(dataset.graph, dataset.values, radii=radii)
@@ -114,6 +118,7 @@ def _landmark_map(n: int) -> datasets.Dataset:
 
 def updates(case: str) -> list[Row]:
     """A closure more on a cached chain: by low-rank update of all keyframes, and by its neighbourhood alone."""
+    # the cached map
     _, size, width = case.split("-")
     n, edges = int(size), band(int(size), int(width))
     watch = Stopwatch()
@@ -121,6 +126,8 @@ def updates(case: str) -> list[Row]:
     matrix = laplacian(n, edges)
     watch.look("state")
     rows = [{"case": case, "what": "factorising the map once", "seconds": watch.seconds["state"]}]
+
+    # more closures
     for count in (1, 10):
         inserted = np.stack([n // 2 + np.arange(count), n // 2 + 37 + np.arange(count)], axis=1)
         tried = {
@@ -153,6 +160,7 @@ def decisions(case: str, data: Path) -> list[Row]:
     data : Path
         Folder of all data.
     """
+    # the map without closures, and offers
     dataset, radius = _gated(case, data)
     watch = Stopwatch()
     best = optimised(dataset.graph, dataset.values)
@@ -165,6 +173,8 @@ def decisions(case: str, data: Path) -> list[Row]:
         "one_optimisation": watch.seconds["one optimisation"],
     }
     reference = gate.reference_map(graph, best, radius)
+
+    # every offer, timed
     judged = {
         "a decision on a {} closure": lambda closure: gate.evaluate(graph, best, closure, radius),
         "the same against a kept reference map, {}": lambda closure: gate.judge(reference, [closure]).decisions[0],
@@ -186,6 +196,8 @@ def decisions(case: str, data: Path) -> list[Row]:
                 "offered": len(seconds),
             }
         )
+
+    # parts of a decision
     found = [_stages(gate, graph, best, closure, radius) for closure in offers["true"]]
     parts = {part: float(np.median([seconds[part] for seconds in found])) for part in found[0]}
     return rows + [{**common, "what": part, "seconds": seconds} for part, seconds in parts.items()]

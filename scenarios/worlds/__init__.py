@@ -87,12 +87,15 @@ def drive(world: str, seed: int, length_m: float | None = None) -> Drive:
     length_m : float, optional
         The layout's own when left out.
     """
+    # way, odometry and sightings
     layout, random = LAYOUTS[world](), np.random.default_rng(seed)
     truth = driving.drive(layout.ways, random, length_m or layout.length_m, layout.step_m)
     sensor, solid = layout.sensor, layout.solid
     odometry = drift.odometry(truth, random, planar=sensor.planar, scaled=sensor.name == "camera")
     points = landmarks.places(solid, sensor, truth[0].z(), layout.landmarks_per_m2, random)
     seen = landmarks.sightings(solid, sensor, truth, points, random)
+
+    # proposals, and the truth on each
     found = appearance.proposals(solid, sensor, truth, random)
     measured = [pose.compose(_match_error(random, sensor.planar)) for pose in found.measured]
     radii = _radii(seen, odometry, layout)
@@ -153,16 +156,21 @@ def problem(
     errors : Errors
         Other errors than the usual are drawn anew, for the same drive.
     """
+    # the drive, with the odometry asked for
     driven = drive(world, seed, length_m)
     if errors is not drift.USUAL:
         driven = drifting(driven, errors)
     planar, start = driven.layout.sensor.planar, driven.truth[0]
     steps, matches = (_noise(sigmas, told, planar) for sigmas in (driven.odometry.sigmas, MATCH))
+
+    # odometry as methods get it
     graph, dim = gtsam.NonlinearFactorGraph(), 3 if planar else 6
     prior = gtsam.PriorFactorPose2 if planar else gtsam.PriorFactorPose3
     graph.add(prior(0, _flat(start, planar), gtsam.noiseModel.Isotropic.Sigma(dim, 1e-3)))
     for i, step in enumerate(driven.odometry.steps):
         graph.add(between(i, i + 1, _flat(step, planar), steps))
+
+    # candidates and truth
     kept = _thinned(driven, share)
     return Problem(
         name=f"{world}-{seed}-{told}-{share}",

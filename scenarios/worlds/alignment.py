@@ -32,20 +32,25 @@ class Cloud:
 
     @staticmethod
     def of(points: Array, normals: Array) -> Cloud:
-        """With the tree that they need."""
+        """Points with their tree.
+
+        Parameters
+        ----------
+        points, normals : (n, 3) float
+        """
         return Cloud(points=points, normals=normals, tree=cKDTree(points))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Aligned:
-    """Pose of the later cloud in the earlier one's frame, and the share of its points that find a counterpart."""
+    """Pose of the later cloud in the earlier frame, and the share of later points that find a counterpart."""
 
     pose: gtsam.Pose3
     fitness: float
 
 
 def icp(earlier: Cloud, later: Cloud, first: gtsam.Pose3, reach_m: float) -> Aligned:
-    """The pose that lays a later cloud upon an earlier one, sought from a first pose.
+    """The pose that lays a later cloud upon an earlier cloud, sought from a first pose.
 
     Parameters
     ----------

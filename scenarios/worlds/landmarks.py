@@ -93,6 +93,8 @@ def landmark_graph(
     ranges = gtsam.noiseModel.Isotropic.Sigma(2 if sensor.planar else 3, sensor.noise_m)
     for i, (pose, tracks) in enumerate(zip(estimates, seen, strict=True)):
         values.insert(i, gtsam.Pose2(*pose.translation()[:2], pose.rotation().yaw()) if sensor.planar else pose)
+
+        # a sighting, and at the first the landmark's value
         for track, local in tracks:
             key = gtsam.symbol("l", track)
             if not values.exists(key):

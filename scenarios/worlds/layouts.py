@@ -76,6 +76,8 @@ def offices() -> Layout:
 def storeys() -> Layout:
     """Four equal floors, a corridor around each, stairs at one corner."""
     n_floors, rise, half, a, b = 4, 3.0, 1.0, 20.0, 12.0
+
+    # floors with doors, and the way around each
     faces, ways = [], nx.Graph()
     for floor in range(n_floors):
         z = floor * rise
@@ -105,6 +107,8 @@ def storeys() -> Layout:
                 (a, 0.0, z + rise + eye),
             ],
         )
+
+    # clutter, roof and shaft
     faces.append(_clutter(ways, 1.2, (0.8, 0.9), (0.3, 0.3, 1.0)))
     top = n_floors * rise
     faces.append(plate((-half, -half, top), (a + 9, 0, 0), (0, b + 2 * half, 0)))
@@ -145,6 +149,8 @@ def streets() -> Layout:
 def garage() -> Layout:
     """Four equal decks with pillars, joined by ramps along one side."""
     n_decks, rise, length, width = 4, 3.2, 48.0, 32.0
+
+    # decks with pillars, and their lanes
     faces, ways = [], nx.Graph()
     for deck in range(n_decks):
         z = deck * rise
@@ -166,6 +172,8 @@ def garage() -> Layout:
         faces.append(plate((length + 5, 4, z), (0, 24, rise), (0, 0, 1)))
         eye = z + 1.6
         _connect(ways, [(44.0, 4.0, eye), (50.5, 4.0, eye), (50.5, 28.0, eye + rise), (44.0, 28.0, eye + rise)])
+
+    # clutter and roof
     faces.append(_clutter(ways, 1.6, (2.5, 3.0), (1.0, 1.0, 1.5)))
     faces.append(plate((0, 0, n_decks * rise), (length, 0, 0), (0, width, 0)))
     return Layout(
@@ -182,6 +190,8 @@ def warehouse() -> Layout:
     """Eight equal aisles between racks, a way across both ends and the middle."""
     n, pitch, length, gap = 8, 4.2, 30.0, 3.0
     side = (n - 1) * pitch
+
+    # floor, racks and end walls
     faces = [plate((-3, -3, 0), (side + 6, 0, 0), (0, 2 * length + 15, 0))]
     for k in range(n + 1):
         x = (k - 0.5) * pitch
@@ -191,6 +201,8 @@ def warehouse() -> Layout:
     far = 2 * length + 2 * gap
     faces.append(plate((-pitch, -gap / 2, 0), (side + 2 * pitch, 0, 0), (0, 0, 6)))
     faces.append(plate((-pitch, far + gap / 2, 0), (side + 2 * pitch, 0, 0), (0, 0, 6)))
+
+    # aisles and the three ways across
     places = [(k * pitch, y, 0.5) for y in (0.0, length + gap, far) for k in range(n)]
     ways = nx.Graph()
     for row in range(3):

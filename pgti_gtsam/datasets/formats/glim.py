@@ -33,6 +33,7 @@ def parse(source: Source) -> Dataset:
     FileFormatError
         A submap's folder is missing, or a malformed line.
     """
+    # poses of the submaps
     file = read_lines(_graph(source))
     count = [line.fields[1:] for line in file.tags.get("num_submaps:", ())]
     if len(count) != 1 or len(count[0]) != 1 or not count[0][0].isdecimal():
@@ -42,10 +43,13 @@ def parse(source: Source) -> Dataset:
         advice = "name the folder of the dump, which holds a folder for every submap"
         raise file.error(f"looks like a dump of GLIM without {missing[0].parent.name}/{missing[0].name}; {advice}")
     poses = dict(enumerate(map(_pose, paths)))
+
+    # ties: from each submap to the next, and between matched submaps
     lines = file.tags.get("matching_cost", ())
     matched = parse_table(file, lines, ids=2, widths=[0], first=2).ids.tolist()
     ties = dict.fromkeys([*pairwise(sorted(poses)), *((min(pair), max(pair)) for pair in matched)])
 
+    # factors that measure the poses
     blank = source.blank()
     blank.notes.append(f"{len(matched)} registrations between submaps measure what the map says, with assumed sigmas")
     model = gtsam.noiseModel.Diagonal.Sigmas(SIGMAS)

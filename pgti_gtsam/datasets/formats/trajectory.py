@@ -34,6 +34,7 @@ def parse(source: Source) -> Dataset:
     FileFormatError
         A malformed line, a pose that is no rigid motion, a loop to an unknown pose.
     """
+    # poses in the order of time
     file = source.file
     is_tum = len(source.first) == 8
     table = file.rows(ids=0, widths=[8 if is_tum else len(source.first)])
@@ -44,6 +45,7 @@ def parse(source: Source) -> Dataset:
     poses = dict(enumerate(made))
     times = table.numbers[:, 0] if is_tum else np.arange(len(table.lines), dtype=float)
 
+    # steps and loops
     file.notes.append(
         "a trajectory holds no edge: consecutive poses are tied, with assumed sigmas of 0.01 rad and 0.1 m"
     )
