@@ -7,6 +7,7 @@ from pgti_gtsam.diagnosis import ClosureFinding, Diagnosis, Place, Proposal, dia
 from pgti_gtsam.errors import PgtiError
 from pgti_gtsam.gate import (
     ClosureDecision,
+    GatedFixedLagSmoother,
     GatedISAM2,
     GatedUpdate,
     GateOptions,
@@ -32,6 +33,7 @@ __all__ = [
     "Distortion",
     "EdgeSource",
     "GateOptions",
+    "GatedFixedLagSmoother",
     "GatedISAM2",
     "GatedUpdate",
     "Integrity",

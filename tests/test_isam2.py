@@ -18,7 +18,7 @@ from pgti_gtsam.errors import (
     PgtiError,
     UnsolvableGraphError,
 )
-from pgti_gtsam.factor_graphs import slots_of
+from pgti_gtsam.factor_graphs import graph_of, slots_of
 from pgti_gtsam.gate.gate import LoopClosureGate
 from pgti_gtsam.gate.isam2 import GatedISAM2
 from pgti_gtsam.gate.options import GateOptions
@@ -256,6 +256,24 @@ def test_a_kept_map_decides_as_a_map_that_is_read_anew(robust):
     assert len(kept.admitted) > 10
     for number in sorted(kept.admitted)[::5]:
         kept.retract(number)
+
+
+@pytest.mark.parametrize("reuses_slots", [False, True])
+@pytest.mark.parametrize("changed", [False, True])
+def test_a_map_that_the_caller_changed_is_read_anew(reuses_slots, changed):
+    lap, world = 4 * 32, driven(block(60, times=2), bias=0.0005, noise=0.002)
+    parameters = gtsam.ISAM2Params()
+    parameters.findUnusedFactorSlots = reuses_slots
+    isam = driven_to(world, lap + 9, smoother=gtsam.ISAM2(parameters))
+    skip = between(lap + 3, lap + 5, world.truth[lap + 3].between(world.truth[lap + 5]))
+    (slot,) = isam.update(graph_of([skip])).getNewFactorsIndices()
+    assert isam.update(closures=[world.closure(k, lap + k) for k in range(3, 9)]).accepted == tuple(range(6))
+    isam.update(*step(world, lap + 10))
+    if changed:  # one factor for another: their number stays
+        isam.smoother.update(graph_of([between(lap + 2, lap + 4, skip.measured())]), gtsam.Values(), [slot])
+    (decision,) = isam.update(closures=[world.closure(30, lap, NOWHERE)]).decisions
+    assert decision.verdict == "rejected"
+    assert (decision.score is not None) is changed  # which a kept map has none of
 
 
 def test_what_isam2_has_is_had_here(world):

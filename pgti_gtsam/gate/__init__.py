@@ -3,12 +3,14 @@
 `ties` and `upright` read the constraints of a map, `drift_model` the predicted relative poses, and `terms`
 the evidence of a closure's measurement. `reference_map` is the map before any candidate, `candidate_map` the map
 with some; `candidates` makes ties of closures, `admission` takes the surest first; `paper_rule` is the paper's gate on
-its own. `gate` decides, `batch` gates whole graphs, `isam2` wraps a smoother, which keeps a `grown_map`;
-`saved` writes both down. `left_out` and `own_closures` judge a finished map's closures against each other.
+its own. `gate` decides, `batch` gates whole graphs; `isam2` and `fixed_lag` wrap smoothers, in what `gated` has for
+both, and keep a `grown_map`; `saved` writes that of iSAM2 down. `left_out` and `own_closures` judge a finished map's
+closures against each other.
 """
 
 from pgti_gtsam.gate.batch import GatedGraph, gate_graph
 from pgti_gtsam.gate.decision import Change, ClosureDecision, Term
+from pgti_gtsam.gate.fixed_lag import GatedFixedLagSmoother
 from pgti_gtsam.gate.gate import Judgement, LoopClosureGate
 from pgti_gtsam.gate.history import GatedUpdate, Review
 from pgti_gtsam.gate.isam2 import GatedISAM2
@@ -18,6 +20,7 @@ __all__ = [
     "Change",
     "ClosureDecision",
     "GateOptions",
+    "GatedFixedLagSmoother",
     "GatedGraph",
     "GatedISAM2",
     "GatedUpdate",

@@ -21,15 +21,15 @@ class GatedUpdate:
     decisions : tuple of ClosureDecision
         A decision per closure, in the order given.
     closures : tuple of int
-        Number of each closure, for `GatedISAM2.retract`: closures are counted from 0 in the order offered.
+        Number of each closure, for `retract`: closures are counted from 0 in the order offered.
     slots : tuple of tuples of int
-        Slots of the factors of each closure in the smoother; none for a rejected closure.
+        Slots of the factors of each closure in the smoother; none for a closure outside.
     factor_slots : tuple of int
         Slots of the other factors, empty slots left out.
     changed : dict of int to ClosureDecision
         New verdicts on earlier closures that were undecided: by number, accepted or rejected by now.
-    result : gtsam.ISAM2Result
-        The result of iSAM2 itself.
+    result : gtsam.ISAM2Result or gtsam.FixedLagSmootherResult
+        The result of the smoother itself; a `GatedUpdate` has all its methods (`getNewFactorsIndices`, …).
     """
 
     decisions: tuple[ClosureDecision, ...] = ()
@@ -37,17 +37,40 @@ class GatedUpdate:
     slots: tuple[tuple[int, ...], ...] = ()
     factor_slots: tuple[int, ...]
     changed: Mapping[int, ClosureDecision] = field(default_factory=dict)
-    result: gtsam.ISAM2Result
+    result: Any
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("_"):
+            raise AttributeError(name)
+        return getattr(self.result, name)
 
     @property
     def accepted(self) -> tuple[int, ...]:
-        """Numbers of the closures that were admitted."""
-        return tuple(number for number, slots in zip(self.closures, self.slots, strict=True) if slots)
+        """Numbers of the closures that passed."""
+        return tuple(n for n, decision in zip(self.closures, self.decisions, strict=True) if decision.accepted)
 
     @property
     def rejected(self) -> tuple[int, ...]:
         """Numbers of the closures that were kept out."""
-        return tuple(number for number, slots in zip(self.closures, self.slots, strict=True) if not slots)
+        return tuple(n for n, decision in zip(self.closures, self.decisions, strict=True) if not decision.accepted)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Step:
+    """The result of a step of a smoother.
+
+    Attributes
+    ----------
+    result : gtsam.ISAM2Result or gtsam.FixedLagSmootherResult
+    slots : list of tuple of int
+        Slots in the map of each graph's factors.
+    is_appended : bool
+        Whether the map grew by the factors and changed in nothing else.
+    """
+
+    result: Any
+    slots: Sequence[tuple[int, ...]]
+    is_appended: bool
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

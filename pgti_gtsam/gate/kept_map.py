@@ -4,31 +4,50 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import gtsam
 import numpy as np
 
 from pgti_gtsam.errors import InvalidOptionError, MissingValueError, UnsolvableGraphError
-from pgti_gtsam.factor_graphs import checked_closure, factors_of, joined, keys_of
+from pgti_gtsam.factor_graphs import checked_closure, factors_of, joined, keys_of, slots_of
 from pgti_gtsam.gate.decision import ClosureDecision
 from pgti_gtsam.gate.gate import LoopClosureGate
 from pgti_gtsam.gate.grown_map import GrownMap
 from pgti_gtsam.pose_graph import Radii
 
 
-class News(NamedTuple):
-    """A smoother before a step, the new factors and values, and the radii of all keyframes."""
+class WholeMap(Protocol):
+    """All factors and variables of a map, by the names of `gtsam.ISAM2`."""
 
-    smoother: gtsam.ISAM2
+    def valueExists(self, key: int) -> bool:
+        """Whether the map has a variable."""
+
+    def getFactorsUnsafe(self) -> gtsam.NonlinearFactorGraph:
+        """The factors, without a copy."""
+
+    def calculateEstimate(self) -> gtsam.Values:
+        """The estimate of all variables."""
+
+    def calculateEstimatePose2(self, key: int) -> gtsam.Pose2:
+        """The estimate of a keyframe in the plane."""
+
+    def calculateEstimatePose3(self, key: int) -> gtsam.Pose3:
+        """The estimate of a keyframe in space."""
+
+
+class News(NamedTuple):
+    """A map before a step, the new factors and values, and the radii of all keyframes."""
+
+    map: WholeMap
     factors: gtsam.NonlinearFactorGraph
     values: gtsam.Values
     radii: Radii | None
 
 
 def check_news(news: News) -> None:
-    """Refuse input on which iSAM2 would fail."""
-    has, new = news.smoother.valueExists, set(news.values.keys())
+    """Refuse new factors and values that do not belong to a map."""
+    has, new = news.map.valueExists, set(news.values.keys())
     known = next(filter(has, new), None)
     if known is not None:
         raise InvalidOptionError(
@@ -53,6 +72,50 @@ class Judged:
 
 
 @dataclass(slots=True)
+class Standing:
+    """The content of a map's slots, by which a change from outside is noticed.
+
+    Where no slot is used twice, each factor that comes or goes changes the number of slots or of factors.
+    Where slots are used again, the factors themselves are compared.
+    """
+
+    n_slots: int = 0
+    n_factors: int = 0
+    factors: dict[int, Any] | None = None
+
+    @classmethod
+    def of(cls, graph: gtsam.NonlinearFactorGraph, *, reuses_slots: bool) -> Standing:
+        """The content of a graph.
+
+        Parameters
+        ----------
+        graph : gtsam.NonlinearFactorGraph
+        reuses_slots : bool
+            Whether new factors take empty slots.
+        """
+        return cls(graph.size(), graph.nrFactors(), dict(slots_of(graph)) if reuses_slots else None)
+
+    def grow(self, factors: gtsam.NonlinearFactorGraph, slots: Sequence[int]) -> None:
+        """Note new factors.
+
+        Parameters
+        ----------
+        factors : gtsam.NonlinearFactorGraph
+        slots : sequence of int
+            The slot of each factor.
+        """
+        self.n_slots, self.n_factors = max([self.n_slots, *(slot + 1 for slot in slots)]), self.n_factors + len(slots)
+        if self.factors is not None:
+            self.factors |= dict(zip(slots, factors_of(factors), strict=True))
+
+    def is_that_of(self, graph: gtsam.NonlinearFactorGraph) -> bool:
+        """Whether a graph has the same content."""
+        if (graph.size(), graph.nrFactors()) != (self.n_slots, self.n_factors):
+            return False
+        return self.factors is None or all(graph.at(slot) is factor for slot, factor in self.factors.items())
+
+
+@dataclass(slots=True)
 class KeptMap:
     """The map at the last closure with the growth since; empty where the next closure needs a new map.
 
@@ -61,7 +124,7 @@ class KeptMap:
 
     map: GrownMap | None = None
     news: list[tuple[gtsam.NonlinearFactorGraph, gtsam.Values]] = field(default_factory=list)
-    n_factors: int = 0
+    standing: Standing = field(default_factory=Standing)
 
     def judged(
         self,
@@ -110,29 +173,35 @@ class KeptMap:
             return Judged(decisions=(decision,), map=tied)
         return _judged_anew(gate, new, waiting, closures)
 
-    def note(self, factors: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> None:
+    def note(self, factors: gtsam.NonlinearFactorGraph, values: gtsam.Values, slots: Sequence[int]) -> None:
         """Note the growth of a step without closures.
 
         Parameters
         ----------
         factors, values
             Of the step.
+        slots : sequence of int
+            The slot of each factor.
         """
-        self.n_factors += factors.size()
         if self.map is not None:
             self.news.append((factors, values))
+            self.standing.grow(factors, slots)
 
-    def keep(self, map_: GrownMap | None, smoother: gtsam.ISAM2) -> None:
+    def keep(self, map_: GrownMap | None, whole: WholeMap, *, reuses_slots: bool) -> None:
         """The map with all that a step with closures brought.
 
         Parameters
         ----------
         map_ : GrownMap, optional
             The map with the closures of the step, if known.
-        smoother : gtsam.ISAM2
-            The smoother after the step.
+        whole : WholeMap
+            The whole map after the step.
+        reuses_slots : bool
+            Whether new factors take empty slots.
         """
-        self.map, self.news, self.n_factors = map_, [], smoother.getFactorsUnsafe().nrFactors()
+        self.map, self.news = map_, []
+        if map_ is not None:
+            self.standing = Standing.of(whole.getFactorsUnsafe(), reuses_slots=reuses_slots)
 
     def forget(self) -> None:
         """Let the next closure make the map anew."""
@@ -142,7 +211,7 @@ class KeptMap:
         """The map with all that came since; None where that takes more than appending."""
         if self.map is None or self.map.is_worn:
             return None
-        if new.smoother.getFactorsUnsafe().nrFactors() != self.n_factors:  # the caller changed it
+        if not self.standing.is_that_of(new.map.getFactorsUnsafe()):  # the caller changed it
             return None
         grown: GrownMap | None = self.map
         for factors, values in (*self.news, (new.factors, new.values)):
@@ -157,9 +226,9 @@ def _judged_anew(
     closures: Sequence[gtsam.NonlinearFactorGraph],
 ) -> Judged:
     """Verdicts by the whole map of the smoother."""
-    estimate = new.smoother.calculateEstimate()
+    estimate = new.map.calculateEstimate()
     estimate.insert(new.values)
-    graph = joined(new.smoother.getFactorsUnsafe(), new.factors)
+    graph = joined(new.map.getFactorsUnsafe(), new.factors)
     checked = [checked_closure(closure, estimate) for closure in (*waiting.values(), *closures)]
     reference = gate.reference_map(graph, estimate, new.radii)
     decisions = gate.judge(reference, checked).decisions
@@ -183,6 +252,6 @@ def _checked_between(
     kind, own = "Pose2" if grown.is_planar else "Pose3", gtsam.Values()
     for key in keys:
         is_new = new.values.exists(key)
-        at = getattr(new.values, f"at{kind}") if is_new else getattr(new.smoother, f"calculateEstimate{kind}")
+        at = getattr(new.values, f"at{kind}") if is_new else getattr(new.map, f"calculateEstimate{kind}")
         own.insert(key, at(key))
     return checked_closure(closure, own)

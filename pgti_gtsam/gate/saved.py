@@ -21,7 +21,7 @@ from pgti_gtsam.factor_graphs import factors_of, graph_of
 from pgti_gtsam.gate.gate import LoopClosureGate
 from pgti_gtsam.gate.grown_map import GrownMap, Tail
 from pgti_gtsam.gate.history import Offer, smoother_of
-from pgti_gtsam.gate.kept_map import KeptMap
+from pgti_gtsam.gate.kept_map import KeptMap, Standing
 from pgti_gtsam.gate.ties import Ties
 from pgti_gtsam.pose_graph import Radii
 
@@ -55,7 +55,9 @@ def encoded(parts: Parts) -> State:
         for offer in parts.offers
     ]
 
-    # all of it
+    # all of it; a map that the caller changed is not kept
+    kept = parts.kept
+    stands = kept.standing.is_that_of(graph)
     return {
         "schema": SCHEMA,
         "schema_version": VERSION,
@@ -65,9 +67,8 @@ def encoded(parts: Parts) -> State:
         "closures": offers,
         "closures_apart": _archive(apart),
         "kept": {
-            "map": None if parts.kept.map is None else _encoded_map(parts.kept.map),
-            "news": [[_archive(factors), values.serialize()] for factors, values in parts.kept.news],
-            "n_factors": parts.kept.n_factors,
+            "map": _encoded_map(kept.map) if kept.map is not None and stands else None,
+            "news": [[_archive(factors), values.serialize()] for factors, values in kept.news],
         },
     }
 
@@ -116,7 +117,7 @@ def decoded(state: State, parameters: gtsam.ISAM2Params, gate: LoopClosureGate) 
         kept=KeptMap(
             map=None if kept["map"] is None else _decoded_map(kept["map"], gate, radii),
             news=[(_graph(factors), _values(values)) for factors, values in kept["news"]],
-            n_factors=kept["n_factors"],
+            standing=Standing.of(smoother.getFactorsUnsafe(), reuses_slots=parameters.findUnusedFactorSlots),
         ),
     )
 
@@ -150,33 +151,42 @@ def _placed(offer: Offer, graph: gtsam.NonlinearFactorGraph, apart: gtsam.Nonlin
 
 
 def _encoded_map(grown: GrownMap) -> State:
-    reference, tail, ties = grown.reference, grown.tail, grown.closures
-    return {
+    # what the reference map was made of, and the keyframes since
+    reference = grown.reference
+    state: State = {
         "factors": _archive(reference.graph),
         "values": reference.keyframes.values.serialize(),
         "keys": list(grown.places)[len(reference.pose_graph) :],
         "ends": [[robot, key] for robot, key in grown.ends.items()],
-        "tail": {
-            "poses": _archived_poses(tail.poses),
-            "roots": tail.roots.tolist(),
-            "gathered": tail.gathered.tolist(),
-        },
-        "closures": {
-            "pairs": ties.pairs.tolist(),
-            "measured": _archived_poses(ties.measured),
-            "variances": ties.variances.tolist(),
-            "slots": ties.slots.tolist(),
-            "drifts": ties.drifts.tolist(),
-        },
     }
+
+    # where these are, and the closures since
+    tail, ties = grown.tail, grown.closures
+    state["tail"] = {
+        "poses": _archived_poses(tail.poses),
+        "roots": tail.roots.tolist(),
+        "gathered": tail.gathered.tolist(),
+    }
+    state["closures"] = {
+        "pairs": ties.pairs.tolist(),
+        "measured": _archived_poses(ties.measured),
+        "variances": ties.variances.tolist(),
+        "slots": ties.slots.tolist(),
+        "drifts": ties.drifts.tolist(),
+    }
+    return state
 
 
 def _decoded_map(state: State, gate: LoopClosureGate, radii: Radii | None) -> GrownMap:
-    values, tail, ties = _values(state["values"]), state["tail"], state["closures"]
+    # the reference map, settled anew
+    values = _values(state["values"])
     if isinstance(radii, Mapping):
         radii = {key: radius for key, radius in radii.items() if values.exists(key)}
     reference = gate.reference_map(_graph(state["factors"]), values, radii)
-    n, d, is_planar = len(reference.pose_graph), len(reference.settled.model.spread), reference.settled.model.is_planar
+
+    # the keyframes and the closures since
+    model, n = reference.settled.model, len(reference.pose_graph)
+    d, is_planar, tail, ties = len(model.spread), model.is_planar, state["tail"], state["closures"]
     return GrownMap(
         reference=reference,
         tail=Tail(

@@ -1,0 +1,313 @@
+"""A smoother of any kind behind the gate: closures are judged, admitted, taken out and judged again."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import gtsam
+
+from pgti_gtsam.adapter import check_radii
+from pgti_gtsam.adapter.values import read_keyframes
+from pgti_gtsam.checks import shown
+from pgti_gtsam.errors import InvalidClosureError, InvalidOptionError
+from pgti_gtsam.factor_graphs import Closure, check_map, closure_graphs, factors_of, graph_of, keys_of, without
+from pgti_gtsam.gate.decision import ClosureDecision
+from pgti_gtsam.gate.gate import Judgement, LoopClosureGate
+from pgti_gtsam.gate.history import GatedUpdate, Offer, Review, Step
+from pgti_gtsam.gate.kept_map import KeptMap, News, WholeMap, check_news
+from pgti_gtsam.gate.revisits import revisits
+from pgti_gtsam.gate.ties import free_space_unit
+from pgti_gtsam.pose_graph import Radii
+from pgti_gtsam.track import track_of
+
+
+@dataclass(slots=True)
+class GatedSmoother(ABC):
+    """The common part of the gates in front of all kinds of smoothers.
+
+    Closures are weighed against the map, and their slots are slots of the map.
+    """
+
+    smoother: Any
+    gate: LoopClosureGate = field(default_factory=LoopClosureGate)
+    radii: Radii | None = None
+    _offers: list[Offer] = field(default_factory=list, init=False)
+    _kept: KeptMap = field(default_factory=KeptMap, init=False)
+
+    def __post_init__(self) -> None:
+        self._check_smoother()
+        if not isinstance(self.gate, LoopClosureGate):
+            raise InvalidOptionError(f"expected a LoopClosureGate as the gate, got {self.gate!r}")
+        check_radii(self.radii)
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("_"):
+            raise AttributeError(name)
+        return getattr(self.smoother, name)
+
+    @property
+    @abstractmethod
+    def _map(self) -> WholeMap:
+        """The map as it stands."""
+
+    @abstractmethod
+    def _check_smoother(self) -> None:
+        """Refuse another kind of smoother."""
+
+    @abstractmethod
+    def _step(
+        self,
+        graphs: Sequence[gtsam.NonlinearFactorGraph],
+        values: gtsam.Values,
+        options: Mapping[str, Any],
+        removed: Sequence[int] = (),
+    ) -> Step:
+        """A step of the smoother with some graphs; slots of the map to be emptied."""
+
+    def _check_news(self, news: News, options: Mapping[str, Any]) -> None:
+        """Refuse input on which the smoother would fail."""
+        check_news(news)
+
+    @property
+    def _reuses_slots(self) -> bool:
+        """Whether new factors take the map's empty slots."""
+        return False
+
+    def _is_fixed(self, number: int) -> bool:
+        """Whether a closure is part of a smoother's prior for good."""
+        return False
+
+    def _slots_of(self, offers: Iterable[Offer]) -> list[tuple[int, ...]]:
+        """Slots of the smoother that hold closures."""
+        return [offer.slots for offer in offers]
+
+    def _updated(
+        self,
+        factors: gtsam.NonlinearFactorGraph | None,
+        values: gtsam.Values | None,
+        closures: Sequence[Closure],
+        radii: Mapping[int, float] | None,
+        options: Mapping[str, Any],
+    ) -> GatedUpdate:
+        """An update, with closures or without."""
+        # what comes in
+        values = gtsam.Values() if values is None else values
+        factors = gtsam.NonlinearFactorGraph() if factors is None else factors
+        check_map(factors, values)
+        if factors.nrFactors() < factors.size():
+            factors = graph_of(factors_of(factors))
+        news = News(self._map, factors, values, self._grown_radii(radii))
+        self._check_news(news, options)
+        if closures:
+            return self._updated_with(closures, news, options)
+
+        # one step of the smoother, and nothing to judge
+        step = self._step([factors], values, options)
+        self.radii = news.radii
+        self._kept.note(factors, values, step.slots[0])
+        if not step.is_appended:
+            self._kept.forget()
+        return GatedUpdate(factor_slots=step.slots[0], result=step.result)
+
+    def _updated_with(self, closures: Sequence[Closure], news: News, options: Mapping[str, Any]) -> GatedUpdate:
+        """An update with closures: of the new and the waiting, those that pass together."""
+        # judge the closures, and those that wait again
+        offered = closure_graphs(closures)
+        waiting = {number: offer.closure for number, offer in enumerate(self._offers) if offer.is_waiting}
+        judged = self._kept.judged(self.gate, news, waiting, offered)
+        changed = {number: decision for number, decision in judged.waiting.items() if decision.verdict != "undecided"}
+
+        # one step of the smoother with those that passed
+        numbers = range(len(self._offers), len(self._offers) + len(offered))
+        closure_of = waiting | dict(zip(numbers, offered, strict=True))
+        verdicts = changed | dict(zip(numbers, judged.decisions, strict=True))
+        passed = [number for number, decision in verdicts.items() if decision.accepted]
+        step = self._step([news.factors, *(closure_of[number] for number in passed)], news.values, options)
+
+        # remember where they stand, and the map
+        factor_slots, *own = step.slots
+        slots_of = dict(zip(passed, own, strict=True))
+        self._offers += [Offer(closure) for closure in offered]
+        for number, decision in verdicts.items():
+            self._offers[number] = Offer(
+                closure_of[number], slots_of.get(number, ()), is_waiting=decision.verdict == "undecided"
+            )
+        self.radii = news.radii
+        self._kept.keep(judged.map if step.is_appended else None, self._map, reuses_slots=self._reuses_slots)
+        return GatedUpdate(
+            decisions=judged.decisions,
+            closures=tuple(numbers),
+            slots=tuple(self._slots_of([self._offers[number] for number in numbers])),
+            factor_slots=factor_slots,
+            changed=changed,
+            result=step.result,
+        )
+
+    def estimate(self) -> gtsam.Values:
+        """The estimate of the whole map."""
+        return self._map.calculateEstimate()
+
+    @property
+    def admitted(self) -> dict[int, tuple[int, ...]]:
+        """Slots of the closures that are in the smoother, by number."""
+        return {number: slots for number, slots in enumerate(self._slots_of(self._offers)) if slots}
+
+    def retract(self, closure: int) -> None:
+        """Take an admitted closure out again.
+
+        Raises
+        ------
+        InvalidClosureError
+            No such closure is in; its slots hold other factors by now; or a variable depends on the closure alone.
+        """
+        self._replace([closure], [])
+
+    def review(self, closures: Collection[int] | None = None) -> Review:
+        """Judge again every revisit with an admitted closure, by all later evidence.
+
+        Parameters
+        ----------
+        closures : collection of int, optional
+            Only the revisits of these closures: those of the last update, say, after a rejection.
+
+        Returns
+        -------
+        Review
+
+        Notes
+        -----
+        Each revisit is left out of the map and offered anew, its rejected closures
+        included: leave-one-out for a single closure, and a fresh vote where several came in
+        turn and the first had only each other to agree with. Changes nothing: see `revise`.
+        """
+        asked = range(len(self._offers)) if closures is None else closures
+        decisions: dict[int, ClosureDecision] = {}
+        for revisit in self._revisits():
+            if set(revisit).isdisjoint(asked):
+                continue
+            decisions |= dict(zip(revisit, self._without(revisit).decisions, strict=True))
+        return self._review(decisions)
+
+    def review_afresh(self) -> Review:
+        """Judge all closures offered so far once more, as a whole.
+
+        Where a wrong closure was admitted early and has shut out right ones elsewhere, no review of one
+        revisit at a time can tell. Changes nothing.
+        """
+        estimate, graph, ends = self.estimate(), self._factors_without(range(len(self._offers))), self._ends()
+        closures = [self._offers[number].closure for number in ends]
+        judged = self.gate.evaluate_group(graph, estimate, closures, self.radii)
+        return self._review(dict(zip(ends, judged.decisions, strict=True)))
+
+    def _review(self, decisions: Mapping[int, ClosureDecision]) -> Review:
+        holds = {number: bool(self._offers[number].slots) for number in decisions}
+        turned = {number for number, decision in sorted(decisions.items()) if decision.accepted is not holds[number]}
+        return Review(
+            decisions=decisions,
+            condemned=tuple(number for number in sorted(turned) if holds[number] and not self._is_fixed(number)),
+            redeemed=tuple(number for number in sorted(turned) if not holds[number]),
+        )
+
+    def revise(self, review: Review) -> None:
+        """Take out the closures that a review condemns and admit those that the review redeems, in a step.
+
+        Raises
+        ------
+        InvalidClosureError
+            Closures came or went since the review was made.
+        """
+        if not isinstance(review, Review):
+            raise InvalidOptionError(f"expected what review() returned, got {shown(review)}")
+        self._replace(review.condemned, review.redeemed)
+
+    def _grown_radii(self, radii: Mapping[int, float] | None) -> Radii | None:
+        if radii is None:
+            return self.radii
+        if not isinstance(self.radii, Mapping | None):
+            raise InvalidOptionError(f"expected no radii of single keyframes, since all have {self.radii} m, got some")
+        return {**(self.radii or {}), **radii}
+
+    def _replace(self, leaving: Sequence[int], entering: Sequence[int]) -> None:
+        # what goes, and what comes
+        for number in leaving:
+            self._check_in(number)
+        for number in entering:
+            self._check_out(number)
+        removed = [slot for number in leaving for slot in self._offers[number].slots]
+        self._check_held(removed)
+        added = [self._offers[number].closure for number in entering]
+
+        # one step of the smoother, and where they stand
+        step = self._step(added, gtsam.Values(), {}, removed)
+        for number in leaving:
+            self._offers[number].slots = ()
+        for number, closure, slots in zip(entering, added, step.slots, strict=True):
+            self._offers[number] = Offer(closure, slots)
+        self._kept.forget()
+
+    def _check_in(self, number: int) -> None:
+        """Refuse a closure that cannot be taken out."""
+        self._check_standing(number)
+
+    def _check_standing(self, number: int) -> None:
+        offer = self._offer(number)
+        if not offer.slots:
+            raise InvalidClosureError(f"expected the number of a closure that is in, got {number}, which is not")
+        standing = offer.standing(self._map.getFactorsUnsafe())
+        gone = next((slot for slot in offer.slots if slot not in standing), None)
+        if gone is not None:
+            raise InvalidClosureError(
+                f"expected closure {number} in slot {gone}, got another factor or none: "
+                "the smoother was changed from outside"
+            )
+
+    def _check_out(self, number: int) -> None:
+        if self._offer(number).slots:
+            raise InvalidClosureError(f"expected the number of a closure that is not in, got {number}, which is")
+
+    def _offer(self, number: int) -> Offer:
+        if not 0 <= number < len(self._offers):
+            raise InvalidClosureError(f"expected the number of one of {len(self._offers)} closures, got {number}")
+        return self._offers[number]
+
+    def _check_held(self, removed: Sequence[int]) -> None:
+        """Refuse to remove the last factors of a variable: a smoother would silently drop the variable."""
+        graph = self._map.getFactorsUnsafe()
+        held = {key for factor in factors_of(without(graph, removed)) for key in keys_of(factor)}
+        free = next((key for slot in removed for key in keys_of(graph.at(slot)) if key not in held), None)
+        if free is not None:
+            raise InvalidClosureError(
+                f"expected a closure that the map holds without, got one on which "
+                f"{gtsam.DefaultKeyFormatter(free)} hangs alone"
+            )
+
+    def _revisits(self) -> list[list[int]]:
+        """Numbers of the closures of every revisit with an admitted closure."""
+        ends = self._ends()
+        numbers = list(ends)
+        pose_graph = self.gate.adapted(self._map.getFactorsUnsafe(), self.estimate(), self.radii)
+        way = track_of(pose_graph).way_m / free_space_unit(pose_graph)
+        groups = [[numbers[k] for k in group] for group in revisits(list(ends.values()), way)]
+        return [group for group in groups if any(self._offers[number].slots for number in group)]
+
+    def _ends(self) -> dict[int, tuple[int, int]]:
+        """First and last keyframe of every closure on the track, by number."""
+        place = read_keyframes(self.estimate()).index
+        ends = {}
+        for number, offer in enumerate(self._offers):
+            places = [place[key] for factor in factors_of(offer.closure) for key in keys_of(factor) if key in place]
+            if places:
+                ends[number] = (min(places), max(places))
+        return ends
+
+    def _factors_without(self, closures: Iterable[int]) -> gtsam.NonlinearFactorGraph:
+        graph = self._map.getFactorsUnsafe()
+        return without(graph, [slot for number in closures for slot in self._offers[number].standing(graph)])
+
+    def _without(self, revisit: Sequence[int]) -> Judgement:
+        graph = self._factors_without(revisit)
+        closures = [self._offers[number].closure for number in revisit]
+        return self.gate.evaluate_group(graph, self.estimate(), closures, self.radii)
