@@ -1,4 +1,8 @@
-"""How Sphinx builds these pages: `python -m sphinx -W -b html docs build/docs`."""
+"""How Sphinx builds these pages: `python -m sphinx -W -b html docs build/docs`.
+
+`docs/notebooks` is a link to the notebooks, which are stored without outputs. `-D nb_execution_mode=force` runs them
+and shows what comes out; without, their pages show the code alone.
+"""
 
 from importlib.metadata import version as installed
 
@@ -13,6 +17,8 @@ html_title = "pgti_gtsam"
 myst_enable_extensions = ["dollarmath", "deflist"]
 myst_heading_anchors = 3
 nb_execution_mode = "off"
+nb_execution_timeout = 240
+nb_execution_raise_on_error = True
 
 autodoc_typehints = "none"
 autodoc_member_order = "bysource"

@@ -135,8 +135,15 @@ def row(trial: Trial, data: Path | None) -> dict[str, Any]:
         Folder of all data.
     """
     arriving = arrivals(trial, data)
+    found = candidates(arriving, np.random.default_rng(trial.seed))
+    counts = {"keyframes": arriving.values.size(), "offered": len(arriving.closures)}
+    return trial._asdict() | counts | {"candidates": found}
+
+
+def candidates(arriving: Arrivals, random: np.random.Generator) -> list[dict[str, Any]]:
+    """Candidates as they come, drawn where there are many, each tied to the map of all true ones before."""
     ends = [_ends(closure) for closure in arriving.closures]
-    chosen = _sample(ends, arriving.true, np.random.default_rng(trial.seed))
+    chosen = _sample(ends, arriving.true, random)
     chain = poses_of(arriving.values)
     estimate: dict[int, Any] = {}
     tied, found = [], []
@@ -149,7 +156,7 @@ def row(trial: Trial, data: Path | None) -> dict[str, Any]:
             found.append(seen | {"ends": list(ends[k])} | spikes(reference, closure))
         if arriving.true[k]:
             tied.append(closure)
-    return trial._asdict() | {"keyframes": len(chain), "offered": len(ends), "candidates": found}
+    return found
 
 
 def spikes(reference: ReferenceMap, closure: gtsam.NonlinearFactorGraph) -> dict[str, float]:
@@ -287,7 +294,7 @@ def _labelled(path: Path, every: int, radius_m: float) -> Arrivals:
     dataset = datasets.subsample(datasets.read(path), every)
     slots = closure_slots(dataset)
     true = [slot in (dataset.true_closures or ()) for slot in slots]
-    return _offered(dataset, [dataset.graph.at(slot) for slot in slots], true, radius_m)
+    return in_time_order(dataset, [dataset.graph.at(slot) for slot in slots], true, radius_m)
 
 
 def _with_look_alikes(path: Path, seed: int) -> Arrivals:
@@ -297,10 +304,11 @@ def _with_look_alikes(path: Path, seed: int) -> Arrivals:
     alike = scans.look_alikes(path)
     drawn = np.random.default_rng(seed).permutation(len(alike))[:MOST].tolist()
     false = [between(*alike[k], own[0].noiseModel()) for k in drawn]
-    return _offered(dataset, [*own, *false], [True] * len(own) + [False] * len(false), dataset.radii)
+    return in_time_order(dataset, [*own, *false], [True] * len(own) + [False] * len(false), dataset.radii)
 
 
-def _offered(dataset: Dataset, factors: Sequence[Any], true: Sequence[bool], radii: Any) -> Arrivals:
+def in_time_order(dataset: Dataset, factors: Sequence[Any], true: Sequence[bool], radii: Any) -> Arrivals:
+    """The odometry of a map, and closures in the order in which their later keyframes come."""
     order = sorted(range(len(factors)), key=lambda k: (max(factors[k].keys()), min(factors[k].keys()), k))
     closing = set(closure_slots(dataset))
     return Arrivals(

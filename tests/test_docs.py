@@ -20,6 +20,8 @@ def test_the_pages_build_without_a_warning(tmp_path):
     assert done.returncode == 0, done.stderr
     page = (tmp_path / "api.html").read_text(encoding="utf-8")
     assert "LoopClosureGate" in page
+    shown = {path.stem for path in (tmp_path / "notebooks").glob("*.html")}
+    assert shown == {path.stem for path in (ROOT / "notebooks").glob("*.ipynb")}
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
