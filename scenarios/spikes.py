@@ -141,7 +141,14 @@ def row(trial: Trial, data: Path | None) -> dict[str, Any]:
 
 
 def candidates(arriving: Arrivals, random: np.random.Generator) -> list[dict[str, Any]]:
-    """Candidates as they come, drawn where there are many, each tied to the map of all true ones before."""
+    """Candidates in time order, drawn where there are many, each tied to the map of all true closures before.
+
+    Parameters
+    ----------
+    arriving : Arrivals
+    random : numpy.random.Generator
+        Of the draw.
+    """
     ends = [_ends(closure) for closure in arriving.closures]
     chosen = _sample(ends, arriving.true, random)
     chain = poses_of(arriving.values)
@@ -308,7 +315,17 @@ def _with_look_alikes(path: Path, seed: int) -> Arrivals:
 
 
 def in_time_order(dataset: Dataset, factors: Sequence[Any], true: Sequence[bool], radii: Any) -> Arrivals:
-    """The odometry of a map, and closures in the order in which their later keyframes come."""
+    """The odometry of a map, and closures in the order of the later keyframe.
+
+    Parameters
+    ----------
+    dataset : Dataset
+    factors : sequence of gtsam factors
+        A closure each.
+    true : sequence of bool
+        Truth of each closure.
+    radii : float, or mapping from key to float, m
+    """
     order = sorted(range(len(factors)), key=lambda k: (max(factors[k].keys()), min(factors[k].keys()), k))
     closing = set(closure_slots(dataset))
     return Arrivals(
