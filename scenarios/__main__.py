@@ -117,6 +117,7 @@ def look_alike_worlds(
     print(tables.table(even, "setting", "f1_with_overlap"))
     right = [row for row in rows if row["setting"] == "right"]
     print("\nF1 by share of false closures, right sigmas\n" + tables.table(right, "share"))
+    print("\nShare of keyframes whose place has a look-alike\n" + tables.ambiguities(rows))
     right = [row for row in right if row["share"] == 1.0]
     print("\nF1 by world, right sigmas\n" + tables.table(right, "world") + "\n\n" + tables.summary(right))
     print(f"results: {out}")

@@ -34,6 +34,8 @@ class Problem:
         m.
     truth : gtsam.Values
         Poses only, in a frame of their own.
+    ambiguity : float
+        Share of keyframes whose place has a look-alike elsewhere; NaN where nobody knows what they see.
     """
 
     name: str
@@ -44,6 +46,7 @@ class Problem:
     overlapping: NDArray[np.bool_]
     radii: float | Mapping[int, float]
     truth: gtsam.Values
+    ambiguity: float = np.nan
 
     @property
     def planar(self) -> bool:

@@ -21,6 +21,7 @@ from scenarios.aliasing.helper import Helper
 from scenarios.aliasing.trials import Trial
 from scenarios.problem import Problem, alone, space
 from scenarios.worlds import alignment, drift, layouts, sensors
+from scenarios.worlds.ambiguity import ambiguity
 from scenarios.worlds.solid import Solid, box
 
 pytestmark = needs_open3d
@@ -173,6 +174,14 @@ def test_alignment_makes_no_motion_that_a_bare_plane_leaves_free():
     assert found.pose.equals(gtsam.Pose3(gtsam.Rot3(), np.array([0.1, 0.0, 0.0])), 1e-9)
 
 
+def test_a_place_is_ambiguous_where_a_view_from_elsewhere_is_as_much_alike():
+    places = np.array([[0.0, 0, 0], [9.0, 0, 0], [0.1, 0, 0], [9.1, 0, 0], [20.0, 0, 0]])
+    unlike = np.full((5, 5), np.inf)
+    unlike[2, :2], unlike[3, :2], unlike[4, :2] = (0.1, 0.2), (0.1, 0.3), (0.1, 0.1)
+    assert ambiguity(unlike, places, 1.0) == 0.5
+    assert np.isnan(ambiguity(np.full((5, 5), np.inf), places, 1.0))
+
+
 @pytest.mark.parametrize("world", ["warehouse", "tunnel"])
 @pytest.mark.parametrize("method", methods.METHODS)
 def test_every_method_answers_for_every_closure(method, world):
@@ -247,6 +256,8 @@ def test_a_trial_that_fails_is_a_row_that_says_so():
     row = trials.row(Trial("warehouse", 1001, "right", 1.0, "Λ_glob rule"), 0.01)
     assert row["f1"] == 0.0
     assert "0.01 s" in row["failed"]
+    assert tables.table([row], "setting").splitlines()[-1].endswith("| 1 of 1 |")
+    assert f"| warehouse | {row['ambiguity']:.2f} |" in tables.ambiguities([row])
 
 
 def test_trials_name_each_pair_once():

@@ -7,8 +7,11 @@ from streets import RADIUS, STEP, World, between, block, driven, ramp, straight,
 
 from pgti_gtsam.errors import InvalidClosureError, UnusedValueError
 from pgti_gtsam.factor_graphs import factors_of
+from pgti_gtsam.gate import admission
 from pgti_gtsam.gate.batch import gate_graph
+from pgti_gtsam.gate.decision import Change
 from pgti_gtsam.gate.gate import LoopClosureGate
+from pgti_gtsam.pair_codes import codes_of
 
 GATE = LoopClosureGate()
 LAP = 4 * 32  # steps around a block of 60 m
@@ -100,6 +103,24 @@ def test_a_closure_to_the_last_keyframe_of_a_dead_end():
     world = driven(straight(100), noise=0.005)
     last = len(world.truth) - 1
     assert not judged(world, world.closure(last - 20, last, NOWHERE)).accepted
+
+
+@pytest.mark.parametrize(("rounds", "accepted"), [(0, (1,)), (admission.MOST_ROUNDS, (0, 1))])
+def test_a_revisit_that_the_free_space_refused_is_asked_again_when_another_is_tied(monkeypatch, rounds, accepted):
+    """The free space speaks against the one revisit until the other is tied."""
+    world = driven(block(60, times=2), bias=0.002, noise=0.003)
+    one, other = (4, 4 + LAP), (40, 40 + LAP)
+
+    def rise(before, after):
+        ties, tied = codes_of(np.array([one, other]), len(world.truth)), (before.connected, after.connected)
+        is_refused = ties[0] in tied[1] and ties[1] not in tied[0]
+        return Change(before=0.0, after=5.0 if is_refused else 0.0), None
+
+    monkeypatch.setattr(admission, "DOUBT", np.inf)
+    monkeypatch.setattr(admission, "MOST_ROUNDS", rounds)
+    monkeypatch.setattr(admission, "local_rise", rise)
+    closures = [world.closure(*one), world.closure(*other)]
+    assert GATE.evaluate_group(world.graph, world.values, closures, RADIUS).accepted == accepted
 
 
 def test_a_closure_that_repairs_a_collision_in_a_whole_graph():

@@ -3,7 +3,8 @@
 Each revisit is weighed by the prediction of the ties so far (`terms.drift`). Of the passing revisits, the surest is
 taken, and the predictions of the others follow (Gaussian conditioning), so that two contradicting revisits never pass
 together; then the map is brought to its optimum, and the rest weighed anew. Where the drift alone leaves doubt, the
-free space decides (`terms.contact_rise`). In the end every member is compared with all the others.
+free space decides (`terms.contact_rise`); a revisit that the free space refuses is asked again when more is tied. In
+the end every member is compared with all the others.
 """
 
 from __future__ import annotations
@@ -39,6 +40,9 @@ HOPELESS = -100.0
 MORE_DRIFT = 1.3
 """Factor by which the odometry must turn out poorer, in variance, before closures that failed are weighed again."""
 
+MOST_ROUNDS = 5
+"""Times that refused revisits are asked again."""
+
 MOST_CHECKS = 10
 """Times that members are compared with all the others; each takes out at least the worst."""
 
@@ -69,6 +73,7 @@ class Weight:
     allowed_m: float = np.inf
     rise: Change | None = None
     worst: int | None = None
+    refused_with: int | None = None
 
     def note(self, model: DriftModel, missed: Array, spread: Array, odds: float) -> None:
         """Note the evidence of the drift.
@@ -125,7 +130,7 @@ class Admission:
     member_odds: dict[int, float] = field(default_factory=dict)
     _poorer: float = 1.0
     _contacts: tuple[Settled, Contacts] | None = None
-    _refused: list[Weight] = field(default_factory=list)
+    _rounds: int = 0
 
     @property
     def settled(self) -> Settled:
@@ -136,16 +141,18 @@ class Admission:
 
     def run(self) -> None:
         """Tie the passing revisits."""
-        while self._open():
-            if self._take(self._surest()) or self._take_doubtful() or self._join_parts() or self._widened():
-                self.progress(sum(len(each.ties) for each in self.weights) - self._n_open(), self._n_offered())
-            else:
-                break
+        while self._passes():
+            self.progress(self._n_offered() - self._n_open(), self._n_offered())
         self._compare_members()
         self.progress(self._n_offered(), self._n_offered())
 
+    def _passes(self) -> bool:
+        """Whether some revisit was tied or refused, or may pass now that could not before."""
+        found = self._take(self._surest()) or self._take_doubtful() or self._join_parts()
+        return found or self._widened() or self._asked_again()
+
     def _open(self) -> list[Weight]:
-        return [each for each in self.weights if not self.active[each.ties].any() and each not in self._refused]
+        return [each for each in self.weights if not self.active[each.ties].any() and each.refused_with is None]
 
     def _n_open(self) -> int:
         return sum(len(each.ties) for each in self._open())
@@ -228,7 +235,8 @@ class Admission:
                 for each in doubtful:
                     self._ask_free_space([each], [each])
                 failing = [each for each in doubtful if each.log_odds <= self.needed]
-            self._refused += failing
+            for each in failing:
+                each.refused_with = int(self.active.sum())
             chosen = [each for each in chosen if each not in failing]
             if not failing:
                 self.nearest = tried
@@ -274,6 +282,17 @@ class Admission:
         if poorer < MORE_DRIFT * self._poorer:
             return False
         self._poorer = poorer
+        return True
+
+    def _asked_again(self) -> bool:
+        """Whether revisits are open again that were refused when fewer ties held."""
+        held = int(self.active.sum())
+        again = [each for each in self.weights if each.refused_with is not None and each.refused_with < held]
+        if self._rounds == MOST_ROUNDS or not again:
+            return False
+        self._rounds += 1
+        for each in again:
+            each.refused_with = None
         return True
 
     def _tied(self) -> Ties:

@@ -26,6 +26,8 @@ def mean_and_interval(found: Sequence[float], seed: int = 0) -> tuple[float, flo
 def table(rows: Sequence[dict[str, Any]], by: str, measure: str = "f1") -> str:
     """Means of a measure by method and by the values of a key; the worst mean, and an interval of all.
 
+    A trial without an answer counts as zero; where there are any, a last column counts them.
+
     Parameters
     ----------
     rows : sequence of mapping
@@ -35,7 +37,8 @@ def table(rows: Sequence[dict[str, Any]], by: str, measure: str = "f1") -> str:
         Key of the averaged number.
     """
     columns = list(dict.fromkeys(row[by] for row in rows))
-    lines = [f"| method | {' | '.join(map(str, columns))} | worst | all |", "|---|" + "---|" * (len(columns) + 2)]
+    ends = ["worst", "all", *(["no answer"] if any("failed" in row for row in rows) else [])]
+    lines = [f"| method | {' | '.join(map(str, [*columns, *ends]))} |", "|---|" + "---|" * (len(columns) + len(ends))]
     for method in dict.fromkeys(row["method"] for row in rows):
         own = [row for row in rows if row["method"] == method and row.get(measure) is not None]
         if not own:
@@ -44,7 +47,20 @@ def table(rows: Sequence[dict[str, Any]], by: str, measure: str = "f1") -> str:
         means = [float(np.mean(values)) for values in found if values]
         cells = [f"{np.mean(values):.2f}" if values else "–" for values in found]
         mean, low, high = mean_and_interval([row[measure] for row in own])
-        lines.append(f"| {method} | {' | '.join(cells)} | {min(means):.2f} | {mean:.2f} [{low:.2f}, {high:.2f}] |")
+        cells += [f"{min(means):.2f}", f"{mean:.2f} [{low:.2f}, {high:.2f}]"]
+        if "no answer" in ends:
+            cells.append(f"{sum('failed' in row for row in own)} of {len(own)}")
+        lines.append(f"| {method} | {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def ambiguities(rows: Sequence[dict[str, Any]]) -> str:
+    """Share of keyframes whose place has a look-alike: mean, least and largest over the seeds of every world."""
+    known = {(row["world"], row["seed"]): row["ambiguity"] for row in rows if "ambiguity" in row}
+    lines = ["| world | look-alikes | least | largest | drives |", "|---|---|---|---|---|"]
+    for world in dict.fromkeys(world for world, _ in known):
+        own = [share for (name, _), share in known.items() if name == world]
+        lines.append(f"| {world} | {np.mean(own):.2f} | {min(own):.2f} | {max(own):.2f} | {len(own)} |")
     return "\n".join(lines)
 
 

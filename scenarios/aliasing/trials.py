@@ -125,6 +125,8 @@ def row(trial: Trial, limit_s: float) -> dict[str, Any]:
     # the problem and the method's answer
     given = problem(*trial[:4])
     found: dict[str, Any] = trial.key()._asdict()
+    if np.isfinite(given.ambiguity):
+        found["ambiguity"] = given.ambiguity
     true, seen = given.true, given.overlapping
     counts = {"true": int(true.sum()), "false": int((~true).sum()), "false_without_overlap": int((~seen).sum())}
     try:

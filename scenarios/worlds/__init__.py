@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 import pgti_gtsam as pgti
 from scenarios.problem import Problem, alone, between
 from scenarios.worlds import appearance, drift, driving, landmarks
+from scenarios.worlds.ambiguity import ambiguity as look_alikes
 from scenarios.worlds.layouts import LAYOUTS, Layout
 from scenarios.worlds.solid import Array
 
@@ -60,6 +61,8 @@ class Drive:
     measured : list of gtsam.Pose3
     true, overlapping : (k,) bool
         As in `Problem`.
+    ambiguity : float
+        Share of keyframes whose place has a look-alike elsewhere: see `ambiguity`.
     """
 
     world: str
@@ -73,6 +76,7 @@ class Drive:
     measured: list[gtsam.Pose3]
     true: NDArray[np.bool_]
     overlapping: NDArray[np.bool_]
+    ambiguity: float
 
 
 @functools.lru_cache(maxsize=2)
@@ -114,6 +118,7 @@ def drive(world: str, seed: int, length_m: float | None = None) -> Drive:
         measured=measured,
         true=true,
         overlapping=true | overlapping,
+        ambiguity=look_alikes(found.unlike, np.array([pose.translation() for pose in truth]), layout.step_m),
     )
 
 
@@ -183,6 +188,7 @@ def problem(
         overlapping=driven.overlapping[kept],
         radii=driven.radii,
         truth=_values(driven.truth, planar),
+        ambiguity=driven.ambiguity,
     )
 
 

@@ -40,10 +40,21 @@ ALIGNED = 0.9
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Proposals:
-    """Earlier and later keyframe, (n, 2) int, by the later, and the aligned relative poses."""
+    """What a detector found among n keyframes.
+
+    Attributes
+    ----------
+    pairs : (k, 2) int
+        Earlier and later keyframe, by the later one.
+    measured : list of k gtsam.Pose3
+        Relative poses that alignment found.
+    unlike : (n, n) float
+        Difference of two views, [later, earlier]; infinite where nobody asked.
+    """
 
     pairs: Array
     measured: list[gtsam.Pose3]
+    unlike: Array
 
 
 def proposals(solid: Solid, sensor: Sensor, poses: Sequence[gtsam.Pose3], random: np.random.Generator) -> Proposals:
@@ -99,7 +110,7 @@ def matched(
             if found.fitness >= aligned:
                 pairs.append((i, j))
                 measured.append(_rounded(found.pose))
-    return Proposals(pairs=np.array(pairs, dtype=int).reshape(-1, 2), measured=measured)
+    return Proposals(pairs=np.array(pairs, dtype=int).reshape(-1, 2), measured=measured, unlike=unlike)
 
 
 def _noisy(scan: Hits, sensor: Sensor, random: np.random.Generator) -> Hits:
