@@ -1,6 +1,6 @@
 """Pose-Graph Topological Integrity for GTSAM factor graphs: is this map right, and where not?"""
 
-from importlib.metadata import version
+import logging
 
 from pgti_gtsam.adapter import from_gtsam
 from pgti_gtsam.diagnosis import ClosureFinding, Diagnosis, Place, Proposal, diagnose
@@ -20,8 +20,9 @@ from pgti_gtsam.mend import Clouds, Mended, clouds_in, mend, scans_of
 from pgti_gtsam.new_ties import NewTie, best_revisits
 from pgti_gtsam.pose_graph import Adaptation, EdgeSource, PoseGraph
 from pgti_gtsam.replay import Measure, Moment, Record, Replay, replay
+from pgti_gtsam.version import __version__
 
-__version__ = version("pgti-gtsam")
+logging.getLogger(__name__).addHandler(logging.NullHandler())  # a program that uses the package says where records go
 
 __all__ = [
     "Adaptation",
@@ -49,6 +50,7 @@ __all__ = [
     "Proposal",
     "Record",
     "Replay",
+    "__version__",
     "assess",
     "best_revisits",
     "clouds_in",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -12,6 +13,8 @@ from scipy.sparse import coo_array, csgraph
 from pgti_gtsam.adapter.values import read_keyframes
 from pgti_gtsam.errors import UnsolvableGraphError
 from pgti_gtsam.factor_graphs import factors_of, joined, keys_of
+
+_LOG = logging.getLogger(__name__)
 
 MAX_ITERATIONS = 100
 """Levenberg-Marquardt steps of a map, which may start far from its optimum."""
@@ -103,6 +106,7 @@ def optimised(
         raise UnsolvableGraphError(f"expected a factor graph with an optimum, got: {str(error).strip()}") from error
     if not np.isfinite(graph.error(found)):
         raise UnsolvableGraphError(f"expected a finite error at the optimum, got {graph.error(found)}")
+    _LOG.debug("%d variables optimised: error %.4g, now %.4g", values.size(), graph.error(values), graph.error(found))
     return found
 
 

@@ -11,6 +11,7 @@ PACKAGE = ROOT / "pgti_gtsam"
 
 # From the ground up: a room may import from those before it in its own row, and from the rows above it.
 FLOORS = [
+    "version",
     "errors",
     "plain_text",
     "checks",

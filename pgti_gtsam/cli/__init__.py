@@ -13,6 +13,7 @@ from pgti_gtsam.cli.ending import run_to_its_end
 from pgti_gtsam.cli.fleet import compare
 from pgti_gtsam.cli.gate import closures, gate
 from pgti_gtsam.cli.mend import mend
+from pgti_gtsam.cli.progress import with_verbosity
 from pgti_gtsam.cli.replay import replay
 
 app = typer.Typer(
@@ -32,14 +33,17 @@ def _tell_version(*, asked: bool) -> None:
 @app.callback()
 def describe(
     version: Annotated[
-        bool, typer.Option("--version", callback=lambda asked: _tell_version(asked=asked), is_eager=True)
+        bool,
+        typer.Option(
+            "--version", help="Print the version.", callback=lambda asked: _tell_version(asked=asked), is_eager=True
+        ),
     ] = False,
 ) -> None:
     """Is this map right, and where not? Pose-graph topological integrity of SLAM maps."""
 
 
 for _command in (audit, view, compare, gate, closures, mend, replay, diffusion):
-    app.command()(_command)
+    app.command()(with_verbosity(_command))
 
 
 def main() -> None:

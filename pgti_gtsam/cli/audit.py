@@ -27,9 +27,9 @@ from pgti_gtsam.cli.options import (
     print_paths,
     read_map,
     split_names,
-    stages,
     terminal,
 )
+from pgti_gtsam.cli.progress import stages
 from pgti_gtsam.datasets import Dataset, is_map, write_g2o
 from pgti_gtsam.diagnosis import Diagnosis
 from pgti_gtsam.diagnosis.proposals import proposal_graph
@@ -96,7 +96,10 @@ def audit(
     limit_s: LimitSeconds = 600.0,
     limit_mb: LimitMegabytes = 8000.0,
 ) -> None:
-    """Say whether a map is right, where not, and what to do about it; of several maps, which are worst."""
+    """Say whether a map is right, where not, and what to do.
+
+    Several maps, or a folder of maps, become a ranking with a page for each.
+    """
     files = MapFiles(files=file, values=values, loops=loops, one_map=one_map, ignore_unknown=ignore_unknown)
     files.check_outputs([json, html, proposals], cloud)
     _check_failures(fail_on, fail_above)
@@ -116,7 +119,7 @@ def audit(
         return
 
     # audit, and write what was asked for
-    with stages(9) as stage:
+    with stages() as stage:
         audited = _audit(files, radius, cloud, edges, min_shared_landmarks, beta, optimise, stage)
         document = audited.document
         if sweep:
@@ -166,7 +169,7 @@ def view(
     """Show the audited map in 3D (needs Open3D)."""
     files = MapFiles(files=file, values=values, loops=loops, one_map=one_map, ignore_unknown=ignore_unknown)
     files.check_outputs([png], cloud)
-    with stages(8) as stage:
+    with stages() as stage:
         audited = _audit(files, radius, cloud, edges, min_shared_landmarks, beta, optimise, stage)
         if png is not None:
             stage("rendering")

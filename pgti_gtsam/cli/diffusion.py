@@ -18,9 +18,9 @@ from pgti_gtsam.cli.options import (
     Values,
     print_paths,
     read_map,
-    stages,
     terminal,
 )
+from pgti_gtsam.cli.progress import stages
 from pgti_gtsam.diffusion import study
 from pgti_gtsam.report.heat import heat_document, write_heat_page
 from pgti_gtsam.report.terminal import print_heat
@@ -35,10 +35,13 @@ def diffusion(
     json: Annotated[Path | None, typer.Option(help="Write everything found to this JSON file.")] = None,
     html: Annotated[Path | None, typer.Option(help="Write the figures to this page.")] = None,
 ) -> None:
-    """Compare pose-graph optimisation with heat: frames, steady state, optimisers, proxy."""
+    """Compare pose-graph optimisation with the flow of heat.
+
+    Frames, steady state, optimisers, and the proxy that PGTI takes.
+    """
     files = MapFiles(files=file, values=values, loops=loops, one_map=one_map, ignore_unknown=ignore_unknown)
     files.check_outputs([json, html])
-    with stages(8) as stage:
+    with stages() as stage:
         stage("reading")
         dataset, _ = read_map(files, None, None)
         found = study(dataset.graph, dataset.values, stage)

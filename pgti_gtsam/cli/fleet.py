@@ -14,7 +14,8 @@ from rich.table import Table
 from rich.text import Text
 
 from pgti_gtsam import fleet, outputs
-from pgti_gtsam.cli.options import Terminal, counted
+from pgti_gtsam.cli.options import Terminal
+from pgti_gtsam.cli.progress import counted
 from pgti_gtsam.errors import FileFormatError, InvalidOptionError
 from pgti_gtsam.fleet.comparison import GRAVITY
 from pgti_gtsam.plain_text import visible

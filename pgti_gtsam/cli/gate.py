@@ -24,12 +24,12 @@ from pgti_gtsam.cli.options import (
     OneMap,
     Radius,
     Values,
-    counted,
     print_paths,
     read_map,
     split_names,
     terminal,
 )
+from pgti_gtsam.cli.progress import counted
 from pgti_gtsam.cli.stream import check_alone, serve_socket, serve_standard_input
 from pgti_gtsam.datasets import Dataset
 from pgti_gtsam.datasets.chain import between_factors
@@ -108,7 +108,10 @@ def gate(
         ),
     ] = None,
 ) -> None:
-    """Judge the loop closures of a graph, and write the graph without those that fail; or of a running pipeline."""
+    """Judge the loop closures of a graph, or of a pipeline.
+
+    The gated graph is written without the closures that fail.
+    """
     judge = _gate(edges, min_shared_landmarks, rule=rule, min_probability=min_probability, scores=scores)
     of_files = {"a FILE": file, "--values": values, "--loops": loops, "--one-map": one_map, "--cloud": cloud}
     of_files |= {"--ignore-unknown": ignore_unknown, "--every": every != 1, "--decisions": decisions, "--json": json}
@@ -177,10 +180,11 @@ def closures(
     every: Every = 1,
     json: Annotated[Path | None, typer.Option(help="Write every closure with its evidence to this JSON file.")] = None,
 ) -> None:
-    """Judge each loop closure of a finished map against the map with all the others, least probable first.
+    """Judge each loop closure against all the others.
 
-    A closure is taken out, the map optimised without that closure, and the closure offered to the gate.
-    False closures that agree vouch for each other here, and many bend the whole map: use `gate` for such maps.
+    Closures of a finished map are listed least probable first. A closure is taken out, the map optimised
+    without that closure, and the closure offered to the gate. False closures that agree vouch for each other
+    here, and many bend the whole map: use `gate` for such maps.
     """
     files = MapFiles(files=file, values=values, loops=loops, one_map=one_map, ignore_unknown=ignore_unknown)
     files.check_outputs([json], cloud)

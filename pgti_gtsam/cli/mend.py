@@ -19,11 +19,11 @@ from pgti_gtsam.cli.options import (
     OneMap,
     Radius,
     Values,
-    counted,
     print_paths,
     read_map,
     terminal,
 )
+from pgti_gtsam.cli.progress import counted
 from pgti_gtsam.datasets.writer import write_graph
 from pgti_gtsam.errors import InvalidOptionError
 from pgti_gtsam.mend import clouds_in, scans_of
@@ -60,9 +60,10 @@ def mend(
         Path | None, typer.Option(help="Write a page with the map before and after, and all scans.")
     ] = None,
 ) -> None:
-    """Mend a map: out with the closures that the gate rejects, in with those that scans or clouds confirm.
+    """Mend a map: wrong closures out, confirmed closures in.
 
-    FLIRTLib and CARMEN files bring their scans; clouds come by --clouds. Without either ties are only proposed.
+    The gate judges all closures; scans or clouds confirm new ones. FLIRTLib and CARMEN files bring their scans;
+    clouds come by --clouds. Without either ties are only proposed.
     """
     files = MapFiles(files=file, values=values, one_map=one_map, ignore_unknown=ignore_unknown)
     files.check_outputs([out, proposals, json, html], cloud, loops)

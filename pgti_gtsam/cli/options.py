@@ -1,11 +1,11 @@
-"""Shared parts of the commands: options, reading, the check of outputs, the bar."""
+"""Shared parts of the commands: options, reading, the check of outputs."""
 
 from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from contextvars import ContextVar
 from dataclasses import dataclass
 from itertools import combinations
@@ -14,7 +14,6 @@ from typing import Annotated, Any
 
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 from pgti_gtsam import datasets
 from pgti_gtsam.adapter import EDGE_SOURCES, MIN_SHARED_LANDMARKS
@@ -193,32 +192,3 @@ def _check_output(output: Path, inputs: list[Path]) -> None:
         raise InvalidOptionError(f"expected a file in an existing folder, got {output}")
     if not os.access(output if output.exists() else output.parent, os.W_OK):
         raise InvalidOptionError(f"expected a file that may be written, got {output}: permission denied")
-
-
-@contextmanager
-def stages(count: int) -> Iterator[Callable[[str], None]]:
-    """A bar on standard error that moves by stages and vanishes when done."""
-    columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
-    console = Console(stderr=True)
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
-        task = progress.add_task("starting", total=count)
-
-        def stage(description: str) -> None:
-            progress.update(task, description=description, advance=1)
-
-        yield stage
-
-
-@contextmanager
-def counted() -> Iterator[Callable[[str, int, int], None]]:
-    """A bar on standard error, told how much of how much is done, that vanishes at the end."""
-    columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
-    console = Console(stderr=True)
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
-        task = progress.add_task("starting", total=None)
-
-        def tell(description: str, done: int, of: int) -> None:
-            shown = f"{description} {done} of {of}" if of > 1 else description
-            progress.update(task, description=shown, completed=done, total=of)
-
-        yield tell

@@ -24,12 +24,12 @@ from pgti_gtsam.cli.options import (
     OneMap,
     Radius,
     Values,
-    counted,
     print_paths,
     read_map,
     split_names,
     terminal,
 )
+from pgti_gtsam.cli.progress import counted
 from pgti_gtsam.replay import METRICS, Measure
 from pgti_gtsam.replay import replay as grow
 from pgti_gtsam.report.curves import require_png, write_replay_png
@@ -55,7 +55,10 @@ def replay(
     html: Annotated[Path | None, typer.Option(help="Write a page: the map, its curves, and a slider.")] = None,
     png: Annotated[Path | None, typer.Option(help="Draw the curves for a paper (needs matplotlib).")] = None,
 ) -> None:
-    """Show how every metric moves while the map grows, and which of them answer to inserted edges."""
+    """Show every metric of a map while the map grows.
+
+    A table says how soon each metric answers to inserted edges.
+    """
     files = MapFiles(files=file, values=values, loops=loops, one_map=one_map, ignore_unknown=ignore_unknown)
     files.check_outputs([json, html, png], cloud)
     require_png(png)

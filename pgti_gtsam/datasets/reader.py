@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import logging
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,6 +18,8 @@ from pgti_gtsam.datasets.text import quote
 from pgti_gtsam.errors import FileFormatError, InvalidOptionError
 
 # Data in the GTSAM wheel, by a short name
+_LOG = logging.getLogger(__name__)
+
 BUILTIN = {
     "kitti00": "VO_stereo_factors00.txt",
     "victoria_park": "victoria_park.txt",
@@ -83,7 +86,10 @@ def read_source(source: Source) -> Dataset:
     was_on = gc.isenabled()
     gc.disable()
     try:
-        return _format(source).parse(source)
+        dataset = _format(source).parse(source)
+        counts = dataset.values.size(), dataset.graph.nrFactors()
+        _LOG.info("%s read as %s: %d variables, %d factors", source.path, dataset.format, *counts)
+        return dataset
     finally:
         if was_on:
             gc.enable()

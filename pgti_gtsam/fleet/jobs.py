@@ -12,11 +12,12 @@ import sys
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from pgti_gtsam.version import __version__
 
 WAY_POINTS = 200
 """Keyframes, evenly along the track, that the small picture of a map is drawn from."""
@@ -51,7 +52,7 @@ class AuditJob:
     @property
     def key(self) -> str:
         """Name of the result: the map's own, and a digest of its bytes, the options and this package's version."""
-        digest = hashlib.sha256(repr((self.words, version("pgti-gtsam"))).encode())
+        digest = hashlib.sha256(repr((self.words, __version__)).encode())
         path = Path(self.map)
         for each in sorted(path.rglob("*")) if path.is_dir() else [path]:
             if each.is_file():
@@ -67,7 +68,7 @@ def audited(job: AuditJob) -> Row:
     stem = Path(job.folder) / job.key
     document, page = stem.with_name(stem.name + ".json"), stem.with_name(stem.name + ".html")
     command = [sys.executable, "-m", "pgti_gtsam.cli.limited", str(round(job.limit_mb * MEGABYTE)), "audit", job.map]
-    command += [*job.words, "--json", str(document), "--html", str(page)]
+    command += [*job.words, "--quiet", "--json", str(document), "--html", str(page)]
 
     # a process of its own
     started = time.monotonic()

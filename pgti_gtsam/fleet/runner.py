@@ -13,6 +13,8 @@ from pgti_gtsam.errors import InvalidOptionError, MissingDependencyError
 
 Row = dict[str, Any]
 
+_LOG = logging.getLogger(__name__)
+
 
 def run(
     path: Path,
@@ -60,6 +62,7 @@ def run(
         with path.open("a", encoding="utf-8") as file:
             for count, (key, found) in enumerate(_computed(wanted, missing, row, scheduler, workers, options), start=1):
                 done[key] = found
+                _LOG.info("%s %s", key, f"failed: {found['failed']}" if "failed" in found else "done")
                 file.write(json.dumps(found, ensure_ascii=False) + "\n")
                 file.flush()
                 progress(len(wanted) - len(missing) + count, len(wanted))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -23,6 +24,8 @@ from pgti_gtsam.gate.reference_map import ReferenceMap
 from pgti_gtsam.gate.settled import Settled, solvable
 from pgti_gtsam.gate.terms import contact_rise, drift
 from pgti_gtsam.pose_graph import PoseGraph, Radii, key_label
+
+_LOG = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -292,8 +295,10 @@ class LoopClosureGate:
         odds = min([sum(term.log_odds for term in terms.values()), *against])
         open_: Verdict = "rejected" if odds <= -self._needed else "undecided"
         heaviest = sorted(terms.values(), key=lambda term: -abs(float(np.nan_to_num(term.log_odds))))
+        verdict: Verdict = "accepted" if is_tied else open_
+        _LOG.debug("%s with log odds %.3g. %s", verdict, odds, heaviest[0].sentence if heaviest else "")
         return ClosureDecision(
-            verdict="accepted" if is_tied else open_,
+            verdict=verdict,
             log_odds=odds,
             terms=terms,
             reasons=tuple(term.sentence for term in heaviest),

@@ -9,7 +9,6 @@ import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, fields
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +18,7 @@ from numpy.typing import NDArray
 from pgti_gtsam.errors import FileFormatError
 from pgti_gtsam.pose_graph import PoseGraph
 from pgti_gtsam.replay.moment import Measure, Moment
+from pgti_gtsam.version import __version__
 
 SCHEMA, SCHEMA_VERSION = "pgti-gtsam/replay", 1
 _ARRAYS = ("keyframe_scores", "positions")
@@ -41,7 +41,7 @@ def heading(pose_graphs: Iterable[PoseGraph], sizes: Sequence[int], measure: Mea
     return {
         "schema": SCHEMA,
         "schema_version": SCHEMA_VERSION,
-        "pgti_gtsam_version": version("pgti-gtsam"),
+        "pgti_gtsam_version": __version__,
         "digest": digest.hexdigest(),
         "measure": asdict(measure),
     }

@@ -9,7 +9,6 @@ import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from collections.abc import Set as AbstractSet
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +16,7 @@ from pgti_gtsam import outputs
 from pgti_gtsam.adapter.values import Keyframes
 from pgti_gtsam.gate import Change, ClosureDecision
 from pgti_gtsam.pose_graph import key_label
+from pgti_gtsam.version import __version__
 
 SCHEMA = "pgti-gtsam/closures"
 SCHEMA_VERSION = 3
@@ -140,7 +140,7 @@ def closures_document(
     return {
         "schema": SCHEMA,
         "schema_version": SCHEMA_VERSION,
-        "pgti_gtsam_version": version("pgti-gtsam"),
+        "pgti_gtsam_version": __version__,
         "input": {"name": name, "format": file_format, "notes": list(notes)},
         "options": dict(options),
         "closures": [

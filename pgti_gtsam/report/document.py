@@ -11,7 +11,6 @@ import json
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +23,7 @@ from pgti_gtsam.diagnosis.sweep import Swept, fragile
 from pgti_gtsam.integrity import BetaSplit, Distortion
 from pgti_gtsam.optimality import GraphOptimality
 from pgti_gtsam.pose_graph import key_label
+from pgti_gtsam.version import __version__
 
 SCHEMA = "pgti-gtsam/audit"
 SCHEMA_VERSION = 2
@@ -62,7 +62,7 @@ def audit_document(
     return {
         "schema": SCHEMA,
         "schema_version": SCHEMA_VERSION,
-        "pgti_gtsam_version": version("pgti-gtsam"),
+        "pgti_gtsam_version": __version__,
         "input": {"name": name, "format": file_format, "notes": list(notes)},
         "options": dict(options or {}),
         "adaptation": None if adaptation is None else asdict(adaptation),

@@ -5,13 +5,13 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Mapping, Sequence
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 from pgti_gtsam import outputs
 from pgti_gtsam.fleet.comparison import GRAVITY
 from pgti_gtsam.report import web
+from pgti_gtsam.version import __version__
 
 SCHEMA, SCHEMA_VERSION = "pgti-gtsam/fleet", 1
 
@@ -49,7 +49,7 @@ def fleet_document(
     return {
         "schema": SCHEMA,
         "schema_version": SCHEMA_VERSION,
-        "pgti_gtsam_version": version("pgti-gtsam"),
+        "pgti_gtsam_version": __version__,
         "input": {"name": name, "format": f"{len(rows)} maps", "notes": list(notes)},
         "options": dict(options),
         "maps": sorted(rows, key=gravity),

@@ -8,7 +8,6 @@ from __future__ import annotations
 import base64
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +22,7 @@ from pgti_gtsam.mend.exchange import degrees, g2o_lines, planar
 from pgti_gtsam.pose_graph import EdgeSource, key_label
 from pgti_gtsam.report import web
 from pgti_gtsam.report.document import Document
+from pgti_gtsam.version import __version__
 
 SCHEMA, SCHEMA_VERSION = "pgti-gtsam/mend", 1
 _SCRIPTS = ("text.js", "errors.js", "plots.js", "mend_plan.js", "mend.js")
@@ -64,7 +64,7 @@ def mended_document(
     return {
         "schema": SCHEMA,
         "schema_version": SCHEMA_VERSION,
-        "pgti_gtsam_version": version("pgti-gtsam"),
+        "pgti_gtsam_version": __version__,
         "input": {"name": name, "format": file_format, "notes": list(notes)},
         "options": dict(options or {}),
         "n_rounds": mended.n_rounds,

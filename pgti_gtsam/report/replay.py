@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Mapping, Sequence
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +15,7 @@ from pgti_gtsam.replay import METRICS, Replay
 from pgti_gtsam.report import web
 from pgti_gtsam.report.document import Document
 from pgti_gtsam.support_graph import support_graph
+from pgti_gtsam.version import __version__
 
 SCHEMA, SCHEMA_VERSION = "pgti-gtsam/replay-page", 1
 _SCRIPTS = ("text.js", "errors.js", "plots.js", "replay.js")
@@ -46,7 +46,7 @@ def replay_document(replay: Replay, *, name: str, file_format: str, notes: Seque
     return {
         "schema": SCHEMA,
         "schema_version": SCHEMA_VERSION,
-        "pgti_gtsam_version": version("pgti-gtsam"),
+        "pgti_gtsam_version": __version__,
         "input": {"name": name, "format": file_format, "notes": list(notes)},
         "keyframes": {"label": pose_graph.labels, "position": np.round(pose_graph.positions, 4).tolist()},
         "edges": {

@@ -7,6 +7,7 @@ factorisations; both agree to the tolerance of the latter.
 
 from __future__ import annotations
 
+import logging
 from typing import Any, Literal, Protocol
 
 import numpy as np
@@ -20,6 +21,8 @@ from pgti_gtsam.spectral.laplacian import adjacency
 from pgti_gtsam.spectral.pole_kernel import pole_kernels
 
 Method = Literal["auto", "dense", "poles"]
+
+_LOG = logging.getLogger(__name__)
 
 ALWAYS_DENSE = 500
 """Vertices up to which dense wins whatever the graph, or loses by a few hundredths of a second."""
@@ -89,7 +92,9 @@ def heat_kernels(
     """
     if method not in ("auto", "dense", "poles"):
         raise InvalidOptionError(f"expected method auto, dense or poles, got {method!r}")
-    if method == "poles" or (method == "auto" and _poles_are_faster(n_vertices, np.concatenate(edge_lists))):
+    by_poles = method == "poles" or (method == "auto" and _poles_are_faster(n_vertices, np.concatenate(edge_lists)))
+    _LOG.debug("heat kernels of %d vertices by %s", n_vertices, "poles" if by_poles else "dense eigenvectors")
+    if by_poles:
         return pole_kernels(n_vertices, edge_lists, tolerance)
     return tuple(dense_heat_kernel(n_vertices, edges) for edges in edge_lists)
 
