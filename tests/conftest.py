@@ -8,11 +8,13 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import pytest
 
 from pgti_gtsam import cli
+from pgti_gtsam.cli import progress
 
 
 @pytest.fixture
 def run(monkeypatch, capsys):
-    """Run the command line in this process: exit code, standard output, standard error."""
+    """Run the command line in this process: exit code, standard output, standard error without progress."""
+    monkeypatch.setattr(progress, "EVERY_S", float("inf"))
 
     def call(*words):
         monkeypatch.setattr(sys, "argv", ["pgti-gtsam", *map(str, words)])

@@ -30,7 +30,7 @@ def square(tmp_path):
 
 
 @pytest.fixture
-def slow(monkeypatch):
+def slow(run, monkeypatch):
     """Every step counts as long enough for a line."""
     monkeypatch.setattr(progress, "EVERY_S", 0.0)
 
