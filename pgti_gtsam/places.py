@@ -85,7 +85,8 @@ def revisits(pose_graph: PoseGraph, integrity: Integrity, track: Track) -> list[
     """The collisions of a map as revisits, those that resolve most overlaps first.
 
     The largest group of overlaps that lie beside each other on both stretches is taken for tied; overlaps that follow
-    belong to the same revisit. So on until nothing is left.
+    belong to the same revisit. So on until nothing is left. Groups of different parts of the map explain none of each
+    other's overlaps (`_parts`), so that the largest group of every part is taken at once.
 
     Parameters
     ----------
@@ -93,22 +94,76 @@ def revisits(pose_graph: PoseGraph, integrity: Integrity, track: Track) -> list[
     track : Track
     """
     n, odometry = len(pose_graph), pose_graph.edges[pose_graph.edge_sources & EdgeSource.ODOMETRY > 0]
-    left, found = integrity.collision_edges, []
+    left = integrity.collision_edges
     known = np.concatenate([pose_graph.edges, integrity.fusion_edges])
     groups = neighbourhoods(left, places_on(pose_graph, track)).group_of
+    parts = _parts(n, left, groups, odometry)
+    found: list[tuple[tuple[int, int], Revisit]] = []
     while len(left):
-        # tie the largest group, and see what follows
-        own = left[groups == np.bincount(groups).argmax()]
-        rest = ~np.isin(codes_of(left, n), codes_of(own, n))
-        known = np.concatenate([known, own])
-        follows = rest.copy()
-        follows[rest] = explained_overlaps(n, known, left[rest], odometry, own)
-        found.append(revisit(pose_graph, track, own, np.concatenate([own, left[follows]])))
+        # tie the largest group of every part, and see what follows
+        sizes = np.bincount(groups, minlength=len(parts))
+        chosen = _first_of_each(parts, np.lexsort((-sizes, parts)))
+        is_own = chosen[parts[groups]] == groups
+        known = np.concatenate([known, left[is_own]])
+        is_resolved = is_own.copy()
+        is_resolved[~is_own] = explained_overlaps(n, known, left[~is_own], odometry, left[is_own])
+        for members in _by(parts[groups], is_resolved):
+            own, more = members[is_own[members]], members[~is_own[members]]
+            each = revisit(pose_graph, track, left[own], left[np.concatenate([own, more])])
+            found.append(((-len(own), int(groups[own[0]])), each))
 
-        # what remains is judged anew
-        known = np.concatenate([known, left[follows]])
-        left, groups = left[rest & ~follows], groups[rest & ~follows]
-    return sorted(found, key=lambda each: -len(each.resolved))
+        # what remains is judged anew; edges between other keyframes explain nothing more
+        known = np.concatenate([known, left[is_resolved & ~is_own]])
+        left, groups = left[~is_resolved], groups[~is_resolved]
+        is_open = np.zeros(n, dtype=bool)
+        is_open[left] = True
+        known = known[is_open[known].all(axis=1)]
+    in_turn = [each for _, each in sorted(found, key=lambda each: each[0])]
+    return sorted(in_turn, key=lambda each: -len(each.resolved))
+
+
+def _parts(
+    n: int, overlaps: NDArray[np.int64], groups: NDArray[np.int64], odometry: NDArray[np.int64]
+) -> NDArray[np.int64]:
+    """Part of every group: overlaps of different parts share no keyframe and are no rungs beside each other.
+
+    A triangle that explains an overlap by another one holds a keyframe of both, and a rung leads from one to the other.
+    So nothing that is tied in a part explains anything in another.
+    """
+    n_groups = int(groups.max(initial=-1)) + 1
+    one, other = _rungs(n, overlaps, odometry)
+    first = np.concatenate([groups, groups, groups[one]])
+    second = np.concatenate([*(n_groups + overlaps.T), groups[other]])
+    links = sparse.coo_array((np.ones(len(first)), (first, second)), shape=(n_groups + n, n_groups + n))
+    _, part = csgraph.connected_components(links, directed=False)
+    return np.unique(part[:n_groups], return_inverse=True)[1].astype(np.int64)
+
+
+def _rungs(
+    n: int, overlaps: NDArray[np.int64], odometry: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Pairs of overlaps such that a step of odometry leads from either end of the first to an end of the second."""
+    i, j = odometry.T
+    steps = sparse.coo_array((np.ones(2 * len(i)), (np.r_[i, j], np.r_[j, i])), shape=(n, n)).tocsr()
+    one, beside = steps[overlaps[:, 0]].nonzero()
+    along, across = steps[overlaps[one, 1]].nonzero()
+    codes, own = codes_of(np.stack([beside[along], across], axis=1), n), codes_of(overlaps, n)
+    order = np.argsort(own)
+    other = order[np.searchsorted(own, codes, sorter=order) % max(len(own), 1)]
+    met = own[other] == codes
+    return one[along[met]], other[met]
+
+
+def _first_of_each(parts: NDArray[np.int64], order: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The first in an order of each of the parts 0, 1, …"""
+    return np.asarray(order[np.unique(parts[order], return_index=True)[1]])
+
+
+def _by(parts: NDArray[np.int64], chosen: NDArray[np.bool_]) -> list[NDArray[np.int64]]:
+    """The chosen rows, part by part."""
+    rows = np.flatnonzero(chosen)
+    rows = rows[np.argsort(parts[rows], kind="stable")]
+    return np.split(rows, np.flatnonzero(np.diff(parts[rows])) + 1)
 
 
 def revisit(

@@ -266,3 +266,36 @@ def test_a_radius_is_taken_from_what_closures_tie():
         tied_radius_m(bare)
     graph.push_back(streets.between(5, 54, values.atPose2(5).between(values.atPose2(54))))
     assert tied_radius_m(pgti.from_gtsam(graph, values, radii=1.0)) == pytest.approx(0.8)
+
+
+def climbed(rise_m, *, tumbling=False):
+    """Around a square of 60 m and again to its last side, where the way climbs in between: odometry alone, in space."""
+    side = np.arange(15.0)
+    ring = np.concatenate([np.c_[side, 0 * side], np.c_[0 * side + 15, side]])
+    ring = np.concatenate([ring, 15 - ring])
+    heights = np.concatenate([np.zeros(45), np.linspace(0, rise_m, 15), np.full(45, rise_m)])
+    rng, poses = np.random.default_rng(0), []
+    for x, y, z in np.c_[np.concatenate([ring, ring[:45]]), heights]:
+        turn = gtsam.Rot3.Expmap(rng.normal(0, 1, 3)) if tumbling else gtsam.Rot3.Yaw(0.1 * len(poses))
+        poses.append(gtsam.Pose3(turn, np.array([x, y, z])))
+    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    for k, pose in enumerate(poses):
+        values.insert(k, pose)
+        if k:
+            noise = gtsam.noiseModel.Unit.Create(6)
+            graph.add(gtsam.BetweenFactorPose3(k - 1, k, poses[k - 1].between(pose), noise))
+    return graph, values
+
+
+def test_a_pass_over_another_one_needs_no_tie_where_the_body_keeps_upright():
+    found = diagnosed(*climbed(3.0), 1.6)
+    assert found.verdict == "consistent"
+    assert kinds(found) == ["different view"]
+    assert 2.5 < found.places[0].rise_m <= 3.0  # at the top of the ramp
+    assert "59–104 passes 2.8 m above 0–46" in found.places[0].sentence
+    assert found.places[0].proposal is None
+    for level in (climbed(0.0), climbed(0.3), climbed(3.0, tumbling=True)):
+        found = diagnosed(*level, 1.6)
+        assert found.verdict in ("incomplete", "undecided")
+        assert "different view" not in kinds(found)
+        assert all(place.rise_m == 0 for place in found.places)

@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.linalg import splu
 from scipy.spatial import KDTree
-from scipy.special import expit
 
 from pgti_gtsam.diagnosis import words
+from pgti_gtsam.diagnosis.levels import rise_m
+from pgti_gtsam.diagnosis.meeting import meeting_share, same_space
 from pgti_gtsam.diagnosis.records import Kind, Place, Proposal
 from pgti_gtsam.diagnosis.views import without_common_view
 from pgti_gtsam.gate.drift_model import DriftModel
@@ -24,20 +25,9 @@ from pgti_gtsam.pose_graph import PoseGraph
 from pgti_gtsam.spectral.laplacian import connected_components, laplacian
 from pgti_gtsam.track import Track, track_of
 
-CONTACT = np.array([5.2, 0.44, -2.4])
-"""Log odds that two stretches in contact run through the same space: c₀ + c₁ ln ℓ + c₂ ln s, with ℓ the length of the
-shorter stretch and s the drift's standard deviation between them, both in units of what their spheres reach. Fitted to
-5544 contacts of odometry in the seven ray-cast worlds, of which 96 % were real (`python -m scenarios contacts`: seeds
-1000 to 1015, 0.5 to 3 times the simulator's drift, and a scale that shrinks by 2 to 40 %): a long parallel contact is
-hardly ever chance, a short one after a long drive often is."""
-
-SHORTEST, LEAST_DRIFT = 0.5, 0.3
-"""Least ℓ and s: below, the fit had no contacts to tell by."""
-
 DECIDED = 0.75
-"""Probability from which a contact is called real. No probability calls a contact chance: of the 189 training contacts
-that are told less, 98 are real, and of the 19 that are told less than 0.5 there are 7. Neither the angle between the
-stretches nor their radii tell those."""
+"""Probability from which a contact is called real. No probability calls a contact chance: of the training contacts of
+`meeting.CONTACT` 208 are told less, of which 119 are real, and 53 less than 0.5, of which 20 are."""
 
 UNTIED = 1.0
 """Allowance of the drift, in what two spheres reach, beyond which overlaps that are explained are not tied. Of eight
@@ -83,9 +73,6 @@ class Contacts:
         The drift model without the false closures.
     predicted : dict from (int, int) to (d, d) float and float
         Of every pair that a place is judged by: covariance of the relative pose, and the allowance in m.
-    pass_codes, pass_lengths_m : (c,) int, (c,) float
-        All overlaps (i, j) of `collisions` and `loose` as i n + j, ascending, and the length of the shorter stretch of
-        the pass that each is part of: see `_pass_lengths`.
     collisions : list of Revisit
     far : (f, 2) int
         Explained overlaps of keyframes that are far apart on the track.
@@ -105,8 +92,6 @@ class Contacts:
     closures: OwnClosures
     settled: Settled
     predicted: dict[tuple[int, ...], tuple[NDArray[np.float64], float]]
-    pass_codes: NDArray[np.int64]
-    pass_lengths_m: NDArray[np.float64]
     collisions: list[Revisit]
     far: Pairs
     loose: Pairs
@@ -128,7 +113,6 @@ class Contacts:
         far = fusion[np.abs(np.diff(places[fusion], axis=1)[:, 0]) > 2.0]
         loose = far[~_tied_near_by(far, pose_graph.radii, model, closures.settled.active)]
         near_by = neighbourhoods(loose, places, SAMPLED)
-        codes, lengths = _pass_lengths(np.concatenate([integrity.collision_edges, loose]), track, places)
 
         # ask the drift model for one pair of each
         closest = np.array([each.closest for each in collisions], dtype=np.int64).reshape(-1, 2)
@@ -148,8 +132,6 @@ class Contacts:
                     map(tuple, asked.tolist()), covariances, allowances.tolist(), strict=True
                 )
             },
-            pass_codes=codes,
-            pass_lengths_m=lengths,
             collisions=collisions,
             far=far,
             loose=loose,
@@ -198,27 +180,38 @@ class Contacts:
     def _is_elsewhere(self, contact: Revisit) -> bool:
         """Whether the stretches lie where the map says, and neither sees landmarks of the other."""
         sightings, pair = self.pose_graph.sightings, contact.closest
+        if self._rise_m(contact):
+            return True
         if sightings is None or not self._allowance_m(pair) <= UNTIED * self._reach_m(pair):
             return False
         return without_common_view(sightings, self.pose_graph.positions, contact.resolved)
 
+    def _rise_m(self, contact: Revisit) -> float:
+        """Height of the later stretch above the earlier where they are on different levels, else 0."""
+        pair, pose_graph = contact.closest, self.pose_graph
+        covariance, _ = self.predicted[pair]
+        return rise_m(self.settled, pose_graph.positions, pose_graph.radii, contact.resolved, pair, covariance)
+
     def _probability(self, contact: Revisit) -> float:
-        """Probability that the two stretches run through the same space; a half without a tie between."""
-        length, drift = self.features(contact)
-        return float(expit(CONTACT @ (1.0, np.log(length), np.log(drift)))) if np.isfinite(drift) else 0.5
+        """Probability that the two stretches run through the same space; a half where no tie leads between them."""
+        share = self.share(contact)
+        return same_space(share) if np.isfinite(share) else 0.5
 
-    def features(self, contact: Revisit) -> tuple[float, float]:
-        """The variables of `CONTACT`, ℓ and s; s is infinite where nothing predicts the drift."""
-        allowance, reach = self._allowance_m(contact.closest), self._reach_m(contact.closest)
-        if not np.isfinite(allowance) or reach == 0:
-            return SHORTEST, np.inf
-        return max(self._pass_length_m(contact) / reach, SHORTEST), max(allowance / reach, LEAST_DRIFT)
-
-    def _pass_length_m(self, contact: Revisit) -> float:
-        """Length of the shorter stretch of the pass that a contact is part of."""
-        n = len(self.pose_graph)
-        i, j = contact.edges[0]
-        return float(self.pass_lengths_m[np.searchsorted(self.pass_codes, i * n + j)])
+    def share(self, contact: Revisit) -> float:
+        """Share of the positions that the drift allows in which the two stretches meet; NaN where nothing predicts."""
+        covariance, allowance = self.predicted[contact.closest]
+        if not np.isfinite(allowance):
+            return np.nan
+        settled, anchor = self.settled, contact.closest[1]
+        return meeting_share(
+            settled.poses,
+            self.positions,
+            self.pose_graph.radii,
+            self.track,
+            contact.stretches,
+            anchor,
+            covariance,
+        )
 
     def _untied_passes(self) -> list[Place]:
         """Explained overlaps between which the drift allows more than the spheres reach."""
@@ -235,7 +228,11 @@ class Contacts:
             loosest = sampled[cell_of[together[0]][np.argmax(excess[cell_of[together[0]]])]]
             resolved = self.loose[np.concatenate(together)]
             contact = revisit(self.pose_graph, self.track, self.loose[together[0]], resolved, loosest)
-            kind: Kind = "likely false closure" if self._is_folded(contact) else "untied second pass"
+            kind: Kind = "untied second pass"
+            if self._is_folded(contact):
+                kind = "likely false closure"
+            elif self._rise_m(contact):
+                kind = "different view"
             found.append(self._place(kind, contact, self.integrity.fusion))
         return found
 
@@ -265,6 +262,7 @@ class Contacts:
             allowance_m=0.0 if kind == "incomplete fusion" else self._allowance_m(contact.closest),
             reach_m=self._reach_m(contact.closest),
             gain=0.0,
+            rise_m=self._rise_m(contact) if kind == "different view" else 0.0,
             sentence="",
             remedy="",
             proposal=None if kind in ("incomplete fusion", "different view") else self._proposal(contact.closest),
@@ -360,23 +358,6 @@ def _scale(distortion: Distortion, keyframe: int) -> Literal["local", "global"]:
         for part in (slice(half), slice(half, None))
     )
     return "global" if late > early else "local"
-
-
-def _pass_lengths(
-    overlaps: Pairs, track: Track, along: NDArray[np.float64]
-) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """Overlaps (i, j) as i n + j, ascending, and the length in m of the shorter stretch of each one's pass.
-
-    Overlaps that go on within ten keyframes or 10 ρ on both stretches, explained or not, are of the same pass, whose
-    contact is in pieces where the spheres are small for a while.
-    """
-    group_of = neighbourhoods(overlaps, along / 4).group_of
-    low, high = (np.full((group_of.max(initial=-1) + 1, 2), end) for end in (np.inf, -np.inf))
-    np.minimum.at(low, group_of, track.way_m[overlaps])
-    np.maximum.at(high, group_of, track.way_m[overlaps])
-    codes = overlaps[:, 0] * len(along) + overlaps[:, 1]
-    order = np.argsort(codes)
-    return codes[order], (high - low).min(axis=1, initial=np.inf)[group_of[order]]
 
 
 def _gains(n: int, edges: Pairs, pairs: list[tuple[int, int]]) -> list[float]:

@@ -74,6 +74,8 @@ class Place:
     gain : float
         ln(1 + R), R the effective resistance between the stretches: by so much a tie raises the logarithm of the
         number of spanning trees, and so D-optimality times the number of keyframes.
+    rise_m : float
+        Height of the later stretch above the earlier where they are on different levels; 0 where not or not known.
     sentence, remedy : str
     proposal : Proposal or None
         None where no tie leads between the stretches, or none is wanted.
@@ -92,6 +94,7 @@ class Place:
     allowance_m: float
     reach_m: float
     gain: float
+    rise_m: float
     sentence: str
     remedy: str
     proposal: Proposal | None

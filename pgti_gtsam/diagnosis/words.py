@@ -56,6 +56,14 @@ def place_words(place: Place, labels: Sequence[str]) -> tuple[str, str]:
         ),
     }
 
+    # passes over each other
+    if place.kind == "different view" and place.rise_m:
+        rise = f"{metres(abs(place.rise_m))} {'above' if place.rise_m > 0 else 'below'}"
+        return (
+            f"{later} passes {rise} {earlier}, more than drift explains: another floor, or a bridge.",
+            "Nothing to tie, unless one is seen from the other.",
+        )
+
     # where nothing predicts, nothing but a match tells
     if place.kind == "undecided contact" and not np.isfinite(place.allowance_m):
         return (

@@ -1,4 +1,4 @@
-"""Real contacts told from chance: the fit behind `pgti_gtsam.diagnosis.contacts.CONTACT`.
+"""Real contacts told from chance: the fit behind `pgti_gtsam.diagnosis.meeting.CONTACT`.
 
 Maps of odometry alone, of training seeds, with drift of two kinds: the simulator's walk and heading bias, several
 times as large or small, and a scale that shrinks along the drive, as a single camera's does. Of each contact that
@@ -16,7 +16,7 @@ import gtsam
 import numpy as np
 from scipy.optimize import minimize
 from scipy.spatial.distance import cdist
-from scipy.special import expit
+from scipy.special import expit, logit
 
 from pgti_gtsam.adapter import from_gtsam
 from pgti_gtsam.diagnosis.contacts import Contacts
@@ -62,7 +62,7 @@ def trials(worlds: Sequence[str], seeds: Sequence[int]) -> Iterator[Trial]:
 
 
 def row(trial: Trial) -> dict[str, Any]:
-    """The contacts of a map: length ℓ and drift s as in `CONTACT`, and whether each is real."""
+    """The contacts of a map: the share of `meeting_share`, and whether the contact is real."""
     driven = drifting(trial)
     graph, values = sparse.odometry(driven), sparse.values(driven.chained(), driven)
     pose_graph = from_gtsam(graph, values, radii=dict(enumerate(driven.radii.tolist())))
@@ -70,7 +70,7 @@ def row(trial: Trial) -> dict[str, Any]:
     found = Contacts.of(pose_graph, assess(pose_graph), model, own_closures(model))
     places = np.array([pose.translation() for pose in driven.truth])
     gaps = cdist(places, places) / (driven.radii[:, None] + driven.radii)
-    contacts = [[*found.features(each), is_real(gaps, each.stretches)] for each in found.collisions]
+    contacts = [[found.share(each), is_real(gaps, each.stretches)] for each in found.collisions]
     return trial._asdict() | {"contacts": contacts}
 
 
@@ -88,15 +88,15 @@ def drifting(trial: Trial) -> Course:
 
 
 def fitted(rows: Sequence[dict[str, Any]]) -> Array:
-    """Coefficients of `CONTACT`, (3,), by maximum likelihood over all contacts that some tie leads to."""
+    """Coefficients of `CONTACT`, (2,), by maximum likelihood over all contacts that some tie leads to."""
     terms, real = _terms(rows)
-    return np.asarray(minimize(lambda c: _misfit(terms @ c, real), np.zeros(3)).x)
+    return np.asarray(minimize(lambda c: _misfit(terms @ c, real), np.zeros(2)).x)
 
 
 def report(rows: Sequence[dict[str, Any]]) -> Iterator[str]:
     """The fit, and how often contacts are real by the probability of the fit."""
     coefficients = fitted(rows)
-    yield f"log odds = {coefficients[0]:.2f} + {coefficients[1]:.2f} ln ℓ + {coefficients[2]:.2f} ln s\n"
+    yield f"log odds = {coefficients[0]:.2f} + {coefficients[1]:.2f} logit q\n"
     yield "| probability | " + " | ".join(f"{kind}: contacts | real" for kind in ("walk", "scale", "all")) + " |"
     yield "|" + "---|" * 7
     groups = [[row for row in rows if row["drift"] in kinds] for kinds in (("walk",), ("scale",), ("walk", "scale"))]
@@ -110,10 +110,10 @@ def report(rows: Sequence[dict[str, Any]]) -> Iterator[str]:
 
 
 def _terms(rows: Sequence[dict[str, Any]]) -> tuple[Array, Array]:
-    """1, ln ℓ and ln s of every contact, and whether the contact is real."""
-    found = np.array([contact for row in rows for contact in row["contacts"]], dtype=float).reshape(-1, 3)
-    found = found[np.isfinite(found[:, 1])]
-    return np.column_stack([np.ones(len(found)), np.log(found[:, :2])]), found[:, 2]
+    """1 and logit q of every contact, and whether the contact is real."""
+    found = np.array([contact for row in rows for contact in row["contacts"]], dtype=float).reshape(-1, 2)
+    found = found[np.isfinite(found[:, 0])]
+    return np.column_stack([np.ones(len(found)), logit(found[:, 0])]), found[:, 1]
 
 
 def _misfit(log_odds: Array, real: Array) -> float:

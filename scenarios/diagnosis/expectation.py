@@ -6,6 +6,12 @@ in the truth, else the contact is chance. A pair of keyframes of a real contact 
 ten keyframes of both, or if all true ties together hold the relative position more exactly than their spheres reach
 even where odometry is poor. Where the world is known, pairs that a surface parts need no tie.
 
+A place that a diagnosis names tells a mapper to match two stretches and to tie them, to match before believing
+anything, to look at a closure, or to do nothing (`is_right`). So a second pass is named rightly if the contact is real
+and some pair of its keyframes could be matched; a contact that drift or a false closure made is named rightly by any
+kind without a tie to make: undecided, or a likely false closure. An undecided contact that is real is neither
+right nor wrong: the mapper is told to match there, and nothing false.
+
 "All ties together" matters. A stretch that is tied at both ends is held like a beam that is clamped at both: the
 middle gives less than half of the play that either end alone would leave, let alone one end by the shortest way.
 """
@@ -90,6 +96,38 @@ def expected(case: Case, pose_graph: PoseGraph) -> Expectation:
     )
 
 
+def is_right(kind: str, *, is_real: bool, can_be_tied: bool) -> bool | None:
+    """Whether the kind of a place is right; None where the diagnosis leaves a real contact open.
+
+    Parameters
+    ----------
+    kind : str
+        One of `pgti_gtsam.diagnosis.records.Kind`.
+    is_real : bool
+        Whether its stretches run through the same space in truth.
+    can_be_tied : bool
+        Whether some pair of its keyframes could be matched: see `can_be_matched`.
+    """
+    if kind == "undecided contact":
+        return None if is_real else True
+    if kind == "likely false closure":
+        return not is_real
+    if kind == "different view":
+        return not can_be_tied
+    return is_real and (can_be_tied or kind == "incomplete fusion")
+
+
+def can_be_matched(case: Case, pairs: Pairs) -> bool:
+    """Whether no surface parts some pair of keyframes in truth; where the world is not known, yes.
+
+    Parameters
+    ----------
+    case : Case
+    pairs : (k, 2) int
+    """
+    return bool(len(_in_sight(case, pairs)))
+
+
 def _contacts(case: Case, pose_graph: PoseGraph) -> list[Pairs]:
     """Overlaps of the map that the way between does not bring, by contact."""
     radii = pose_graph.radii
@@ -114,7 +152,8 @@ class _Ties:
         closures = _measured(pose_graph, false, odometry=False)
         far = closures[np.diff(closures, axis=1)[:, 0] > BESIDE]
         unit = float(np.median(pose_graph.radii[pose_graph.radii > 0]))
-        axes = np.ptp(case.places, axis=0) > 0  # a drive in the plane knows no height
+        axes = np.ptp(case.places, axis=0) > 0  # a drive in the plane knows no height,
+        axes[:2] = True  # but a straight one turns too
         held = Held.by(case.places[:, axes] / unit, steps, far)
         return cls(closures=closures, held=held, radii=pose_graph.radii / unit)
 

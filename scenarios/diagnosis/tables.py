@@ -6,12 +6,14 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
+from scenarios.diagnosis.expectation import is_right
+
 EXPECTED = ("consistent", "incomplete", "inconsistent")
 VERDICTS = (*EXPECTED, "undecided")
 
-REAL_KINDS = ("missed closure", "untied second pass", "tracking gap", "different view", "incomplete fusion")
-CHANCE_KINDS = ("likely false closure",)
-"""Kinds of places by whether the contact would be real; the remaining kind decides nothing."""
+TIED_KINDS = ("missed closure", "untied second pass", "tracking gap")
+KINDS = (*TIED_KINDS, "different view", "incomplete fusion", "likely false closure", "undecided contact")
+"""Kinds of places; the first ask for a tie."""
 
 Rows = Sequence[dict[str, Any]]
 
@@ -60,17 +62,40 @@ def good(rows: Rows) -> str:
 
 
 def kinds(rows: Rows) -> str:
-    """How often a place's kind is right, by kind."""
-    places = [place for row in known(rows) for place in row["places"]]
-    lines = [_line(["kind", "places", "contact is real", "kind is right"]), _rule(4)]
-    for kind in (*REAL_KINDS, *CHANCE_KINDS, "undecided contact"):
-        own = [place for place in places if place[0] == kind]
-        real = sum(place[1] for place in own)
-        right = real if kind in REAL_KINDS else len(own) - real
-        lines.append(
-            _line([kind, len(own), real, "–" if kind not in REAL_KINDS + CHANCE_KINDS else _share(right, len(own))])
-        )
+    """How often a place's kind is right, by kind (`expectation.is_right`)."""
+    heads = ["kind", "places", "contact is real", "could be tied", "kind is right", "kind is wrong", "left open"]
+    lines = [_line(heads), _rule(len(heads))]
+    for kind in KINDS:
+        own = [place for row in known(rows) for place in row["places"] if place[0] == kind]
+        real, tied = (sum(place[k] for place in own) for k in (1, 2))
+        lines.append(_line([kind, len(own), real, tied, *_judged(own)]))
     return "\n".join(lines)
+
+
+def untied(rows: Rows) -> str:
+    """Maps of odometry alone: what places are called, by world; fusion follows from ties and is left out."""
+    heads = ["odometry only", "places", "called second passes", "of these real", "contacts by chance", "called passes"]
+    heads += ["kind is right", "kind is wrong", "left open"]
+    lines = [_line(heads), _rule(len(heads))]
+    alone = [row for row in known(rows) if row["damage"] == "odometry only"]
+    for world in [*dict.fromkeys(row["world"] for row in alone), "all"]:
+        own = [
+            place
+            for row in alone
+            for place in row["places"]
+            if world in (row["world"], "all") and place[0] != "incomplete fusion"
+        ]
+        called, chance = [place for place in own if place[0] in TIED_KINDS], [place for place in own if not place[1]]
+        both = sum(place[0] in TIED_KINDS for place in chance)
+        lines.append(_line([world, len(own), len(called), len(called) - both, len(chance), both, *_judged(own)]))
+    return "\n".join(lines)
+
+
+def _judged(places: Sequence[Any]) -> list[str | int]:
+    """Share of places whose kind is right, of those that are decided; how many are wrong, and left open."""
+    found = [is_right(kind, is_real=real, can_be_tied=tied) for kind, real, tied, *_ in places]
+    right, wrong = found.count(True), found.count(False)
+    return [_share(right, right + wrong), wrong, found.count(None)]
 
 
 def closures(rows: Rows) -> str:
@@ -100,7 +125,7 @@ def report(rows: Rows) -> Iterator[str]:
         own = [row for row in rows if row["variant"] == variant]
         yield f"\n{variant}: {len(known(own))} cases, {len(own) - len(known(own))} more came to no end\n"
         yield from (confusion(own), "", by(own, "damage"), "", by(own, "world"), "")
-        yield from (good(own), "", kinds(own), "", closures(own))
+        yield from (good(own), "", kinds(own), "", untied(own), "", closures(own))
         seconds = sorted(row["seconds"] for row in known(own)) or [0.0]
         yield f"\nseconds a diagnosis: median {seconds[len(seconds) // 2]}, longest {seconds[-1]}"
 

@@ -13,9 +13,10 @@ import numpy as np
 from pgti_gtsam.diagnosis import Diagnosis, diagnose
 from pgti_gtsam.errors import PgtiError
 from scenarios.diagnosis import covisible, damage, narrow, real, sparse
+from scenarios.diagnosis.courses import course
 from scenarios.diagnosis.damage import Case
-from scenarios.diagnosis.expectation import Expectation, expected
-from scenarios.diagnosis.stretches import any_chance, is_real
+from scenarios.diagnosis.expectation import Expectation, can_be_matched, expected
+from scenarios.diagnosis.stretches import Pairs, any_chance, is_real
 
 SPARSE, COVISIBLE, NARROW, REAL = "sparse", "covisible", "narrow", "real"
 
@@ -115,7 +116,7 @@ def row(trial: Trial, data: Path | None) -> dict[str, Any]:
         | {"n_keyframes": len(found.pose_graph), "n_closures": len(found.closures), "unit_m": _short(found.unit_m)}
         | {"n_real": right.n_real, "n_chance": right.n_chance, "n_untied": right.n_untied}
         | {"loosest": _short(right.loosest), "nearest_chance": _short(right.nearest_chance)}
-        | _places(found, right)
+        | _places(trial, built, found, right)
         | _closures(built, found, right)
         | (narrow.overlaps(trial.world, trial.seed, found) if _is_by_camera(trial) else {})
         | {"seconds": _short(seconds)}
@@ -139,14 +140,22 @@ def verdict(trial: Trial, right: Expectation) -> str:
     return right.verdict
 
 
-def _places(found: Diagnosis, right: Expectation) -> dict[str, Any]:
-    """Places by kind, and for each the kind, whether the place is real by the truth, and the probability."""
+def _places(trial: Trial, built: Case, found: Diagnosis, right: Expectation) -> dict[str, Any]:
+    """Places by kind, and of each: kind, whether real and whether tieable by the truth, probability, allowance."""
     kinds = [place.kind for place in found.places]
     each = [
-        [place.kind, is_real(right.gaps, place.keyframes), _short(place.probability), _short(place.allowance_m)]
+        [place.kind, is_real(right.gaps, place.keyframes), _can_be_tied(trial, built, place.edges)]
+        + [_short(place.probability), _short(place.allowance_m)]
         for place in found.places
     ]
     return {"kinds": {kind: kinds.count(kind) for kind in dict.fromkeys(kinds)}, "places": each}
+
+
+def _can_be_tied(trial: Trial, built: Case, pairs: Pairs) -> bool:
+    """Whether a matcher could tie some pair; a camera must look there too."""
+    if _is_by_camera(trial):
+        return narrow.can_be_tied(course(trial.world, trial.seed), pairs)
+    return can_be_matched(built, pairs)
 
 
 def _closures(built: Case, found: Diagnosis, right: Expectation) -> dict[str, Any]:
