@@ -30,6 +30,7 @@ EVERY = 10
 RADIUS_M = 2.0
 SIZES = (250, 500, 1000, 2000, 5000, 10_000)
 WINDOW = 200  # keyframes before each size whose updates count
+REVIEWS = 20  # closures, evenly over the drive, whose revisits are judged again at each size
 
 Row = dict[str, Any]
 
@@ -73,7 +74,8 @@ def run(largest: int, seed: int, tell: Callable[[str], None]) -> list[Row]:
 
         # a row
         if k + 1 in SIZES:
-            rows.append(_row(k + 1, times, accepted, _megabytes() - base))
+            row = _row(k + 1, times, accepted, _megabytes() - base)
+            rows.append(row | _reviewed(gated, len(accepted)))
             tell(line(rows[-1]))
     gc.enable()
     return rows
@@ -93,6 +95,21 @@ def _row(n_keyframes: int, times: dict[str, list[float]], accepted: list[bool], 
         "offered": len(accepted),
         "accepted": int(sum(accepted)),
         "megabytes": megabytes,
+    }
+
+
+def _reviewed(gated: pgti.GatedISAM2, n_offered: int) -> Row:
+    """How long it takes to judge revisits again, each by itself, and how many admitted closures that condemns."""
+    times, condemned = [], set[int]()
+    for number in np.unique(np.linspace(0, n_offered - 1, REVIEWS).round().astype(int)).tolist():
+        started = time.process_time()
+        condemned.update(gated.review([number]).condemned)
+        times.append(time.process_time() - started)
+    return {
+        "reviews": len(times),
+        "review_s": float(np.median(times)),
+        "review_slowest_s": max(times),
+        "condemned": len(condemned),
     }
 
 
@@ -133,7 +150,9 @@ def line(row: Row) -> str:
     )
     return (
         f"{row['n_keyframes']:6d} keyframes: {row['bare_s'] * 1e3:.3f} ms bare, {row['gated_s'] * 1e3:.3f} ms gated, "
-        f"ratio {row['ratio']:.2f}{closing}; {row['accepted']} of {row['offered']} closures; {row['megabytes']:.0f} MB"
+        f"ratio {row['ratio']:.2f}{closing}; {row['accepted']} of {row['offered']} closures; a review of a revisit "
+        f"{row['review_s'] * 1e3:.0f} ms (slowest {row['review_slowest_s'] * 1e3:.0f} ms), {row['condemned']} "
+        f"condemned; {row['megabytes']:.0f} MB"
     )
 
 

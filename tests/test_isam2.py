@@ -144,6 +144,28 @@ def test_a_review_turns_a_revisit_over_when_the_larger_party_came_later(world):
         isam.revise(review)
 
 
+def test_a_review_by_the_kept_map_is_that_of_maps_read_anew():
+    lap, world = 4 * 32, driven(block(60, times=2) + straight(10), bias=0.0005, noise=0.002)
+    anew = GatedISAM2(eager(), radii=RADIUS, gate=LoopClosureGate(options=GateOptions(scores=True)))
+    kept = started(world)
+    for k in range(1, 2 * lap):
+        closures = []
+        if k == lap + 1 or (k > lap + 11 and k % 13 < 3):  # the first is off, and alone
+            off = gtsam.Pose2(6.0 * (k == lap + 1), 0.0, 0.0)
+            closures = [world.closure(k - lap, k, world.truth[k - lap].between(world.truth[k]).compose(off))]
+        kept.update(*step(world, k), closures)
+    anew.smoother, anew._offers = kept.smoother, kept._offers
+    asked = [0, 8, 20, len(kept._offers) - 1]
+    one, other = anew.review(asked), kept.review(asked)
+    assert one.decisions.keys() == other.decisions.keys()
+    for number, decision in one.decisions.items():
+        assert decision.verdict == other.decisions[number].verdict
+        assert decision.judged_with == other.decisions[number].judged_with
+        assert decision.log_odds == pytest.approx(other.decisions[number].log_odds, rel=0.01, abs=0.1)
+    assert sum(decision.score is None for decision in other.decisions.values()) >= 7  # which a kept map has none of
+    assert (one.condemned, one.redeemed) == (other.condemned, other.redeemed) == ((0,), ())
+
+
 def test_a_review_afresh_agrees_where_nothing_is_wrong(world):
     isam = driven_to(world, LAP + 10)
     isam.update(closures=[world.closure(4, 30, NOWHERE), *(world.closure(k, k + LAP) for k in (3, 4, 5))])

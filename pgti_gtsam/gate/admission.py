@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -93,6 +94,26 @@ class Weight:
         self.missed_m = float(np.linalg.norm(missed[place]))
         self.missed_rad = float(np.linalg.norm(np.delete(missed, np.arange(len(missed))[place])))
         self.allowed_m = float(model.allowances_m(spread[None])[0])
+
+    def weigh(self, model: DriftModel, later: Sequence[Any], missed: Array, spread: Array) -> None:
+        """Weigh the revisit by some members.
+
+        Parameters
+        ----------
+        model : DriftModel
+        later : sequence of g gtsam.Pose2 or gtsam.Pose3
+            Of the later keyframe of each member.
+        missed : (g, d) float
+            Differences from the prediction.
+        spread : (g d, g d) float
+            Joint covariance of the prediction.
+        """
+        odds = np.nan
+        if np.isfinite(spread).all():
+            odds = log_odds_together(model, later, range(len(later)), missed, spread) + AGREES * (len(later) - 1)
+        middle, d = len(later) // 2, missed.shape[1]
+        inner = slice(middle * d, (middle + 1) * d)
+        self.note(model, missed[middle], spread[inner, inner], odds)
 
     @property
     def log_odds(self) -> float:
@@ -178,7 +199,7 @@ class Admission:
 
         # those of several
         rest = [each for each in asked if len(each.ties) > 1]
-        members = [_some(each.ties) for each in rest]
+        members = [some_of(each.ties) for each in rest]
         joint = self.settled.joint_covariances([ties.pairs[some] for some in members])
         for each, some, spread in zip(rest, members, joint, strict=True):
             self._weigh(each, some, self.settled.residuals[some], self._poorer * spread)
@@ -188,7 +209,7 @@ class Admission:
 
         Conditioning on a revisit takes W Wᵀ off the covariance of all; the blocks are formed on demand.
         """
-        members, d = [_some(each.ties) for each in passing], len(self.model.spread)
+        members, d = [some_of(each.ties) for each in passing], len(self.model.spread)
         pairs = np.concatenate([self.model.ties.pairs[own] for own in members])
         spread = self._poorer * self.settled.joint_covariances([pairs])[0]
         missed = np.concatenate([self.settled.residuals[own].ravel() for own in members])
@@ -214,14 +235,8 @@ class Admission:
 
     def _weigh(self, each: Weight, own: Ties, missed: Array, spread: Array) -> None:
         """A revisit of several closures by the differences of some members from the prediction."""
-        odds = np.nan
-        if np.isfinite(spread).all():
-            later = self.model.ties.pairs[own, 1].tolist()
-            odds = log_odds_together(self.model, self.settled.poses, later, missed, spread)
-            odds += AGREES * (len(own) - 1)
-        middle, d = len(own) // 2, missed.shape[1]
-        inner = slice(middle * d, (middle + 1) * d)
-        each.note(self.model, missed[middle], spread[inner, inner], odds)
+        later = [self.settled.poses[j] for j in self.model.ties.pairs[own, 1].tolist()]
+        each.weigh(self.model, later, missed, spread)
 
     def _take(self, chosen: Sequence[Weight]) -> bool:
         """Tie revisits, but refuse revisits that the free space contradicts; whether there were any."""
@@ -316,7 +331,7 @@ class Admission:
             self.active[tied[out]] = False
 
 
-def _some(ties: Ties) -> Ties:
+def some_of(ties: Ties) -> Ties:
     """At most `MEMBERS` members, evenly spread."""
     if len(ties) <= MEMBERS:
         return ties

@@ -164,11 +164,29 @@ def _agree(settled: Settled, ties: NDArray[np.int64], way: NDArray[np.float64]) 
         poses[i].compose(model.ties.measured[k]).compose(poses[j].inverse())
         for k, (i, j) in zip(ties.tolist(), pairs.tolist(), strict=True)
     ]
-    places = [poses[j].translation() for j in pairs[:, 1].tolist()]
+    return agreement(motions, [poses[j].translation() for j in pairs[:, 1].tolist()], way[pairs[:, 1]], model.unit_m)
+
+
+def agreement(
+    motions: Sequence[Any], places: Sequence[NDArray[np.float64]], way: NDArray[np.float64], unit_m: float
+) -> NDArray[np.bool_]:
+    """The pairs of closures that agree, (k, k).
+
+    Parameters
+    ----------
+    motions : sequence of k gtsam.Pose2 or gtsam.Pose3
+        Motion of the map at the later keyframe by each closure.
+    places : sequence of k (2,) or (3,) float, m
+        Of the later keyframes.
+    way : (k,) float
+        Of the later keyframes along the track, ρ.
+    unit_m : float
+        ρ.
+    """
+    own = np.arange(len(motions))
     moved = np.array([[motion.transformFrom(place) for place in places] for motion in motions])
-    apart = np.linalg.norm(moved - moved[np.arange(len(ties)), np.arange(len(ties))], axis=2) / model.unit_m
-    later = way[pairs[:, 1]]
-    allowed = AGREEMENT * (1 + STRETCHED * np.abs(later[:, None] - later))
+    apart = np.linalg.norm(moved - moved[own, own], axis=2) / unit_m
+    allowed = AGREEMENT * (1 + STRETCHED * np.abs(way[:, None] - way))
     turned = np.array([[_angle(one.between(other)) for other in motions] for one in motions])
     return np.asarray((np.maximum(apart, apart.T) <= allowed) & (turned <= AGREEMENT_RAD))
 

@@ -5,9 +5,11 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import reduce
 
 import gtsam
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import logit
 
 from pgti_gtsam.adapter import from_gtsam
@@ -15,17 +17,21 @@ from pgti_gtsam.checks import in_a_line
 from pgti_gtsam.errors import InvalidGraphError, InvalidOptionError, MissingValueError
 from pgti_gtsam.factor_graphs import Closure, check_map, checked_closure, closure_graphs, factors_of, keys_of
 from pgti_gtsam.gate import paper_rule
-from pgti_gtsam.gate.admission import DOUBT, Admission, Weight
+from pgti_gtsam.gate.admission import DOUBT, Admission, Weight, some_of
 from pgti_gtsam.gate.candidate_map import CandidateMaps
 from pgti_gtsam.gate.decision import ClosureDecision, Term, Verdict
 from pgti_gtsam.gate.grown_map import GrownMap
+from pgti_gtsam.gate.left_out import given_others
 from pgti_gtsam.gate.options import GateOptions
 from pgti_gtsam.gate.reference_map import ReferenceMap
 from pgti_gtsam.gate.settled import Settled, solvable
 from pgti_gtsam.gate.terms import contact_rise, drift
+from pgti_gtsam.gate.ties import Ties
 from pgti_gtsam.pose_graph import PoseGraph, Radii, key_label
 
 _LOG = logging.getLogger(__name__)
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -271,20 +277,65 @@ class LoopClosureGate:
         (ClosureDecision, GrownMap or None) or None
             The verdict, and the map with the closure if passed, None where the closure takes more than a linear step.
             None for both where the verdict needs more evidence: the closure is no single between factor, nothing
-            predicts the free space has to be asked, or another rule than the default decides.
+            predicts the closure, the free space has to be asked, or another rule than the default decides.
         """
         tie = grown.offered(closure)
         if tie is None or self.options.rule != "log_odds":
             return None
-        model, weight = grown.reference.settled.model, Weight(ties=np.arange(1))
         missed, spread = grown.predicted(tie)
-        weight.note(model, missed[0], spread, float(drift.log_odds(model, missed, spread[None])[0]))
+        decision = self._decided_by_drift(grown, tie, missed, spread)
+        if decision is None:
+            return None
+        tied = grown.tied(tie, missed, spread) if decision.accepted else grown
+        return replace(decision, keys=_keys(closure)), tied
+
+    def reviewed(
+        self, grown: GrownMap, closures: Sequence[gtsam.NonlinearFactorGraph], held: Sequence[bool]
+    ) -> tuple[ClosureDecision, ...] | None:
+        """Judge a revisit by the drift alone, against a map without the revisit and without a new optimum.
+
+        Parameters
+        ----------
+        grown : GrownMap
+        closures : sequence of gtsam.NonlinearFactorGraph
+            All closures of the revisit.
+        held : sequence of bool
+            Which of the closures hold in the map.
+
+        Returns
+        -------
+        tuple of ClosureDecision or None
+            None where the verdict needs more: see `foreseen`; or the closures disagree with each other.
+        """
+        ties = [tie for closure in closures if (tie := grown.offered(closure)) is not None]
+        if len(ties) < len(closures) or self.options.rule != "log_odds":
+            return None
+        offered = reduce(Ties.joined, ties)
+        predicted = grown.predicted_without(offered, held)
+        if predicted is None or not grown.agree(offered, predicted[0]):
+            return None
+
+        # all together, and each against the others
+        decision = self._decided_by_drift(grown, offered, *predicted)
+        if decision is None:
+            return None
+        if decision.accepted and len(ties) > 1:
+            odds = drift.log_odds(grown.reference.settled.model, *given_others(*predicted, offered.variances))
+            if (odds < 0).any():
+                return None
+        return tuple(replace(decision, keys=_keys(closure), judged_with=len(ties)) for closure in closures)
+
+    def _decided_by_drift(self, grown: GrownMap, offered: Ties, missed: Array, spread: Array) -> ClosureDecision | None:
+        """The verdict on closures of a revisit by some members; None where the free space has to be asked."""
+        weight, d = Weight(ties=np.arange(len(missed))), missed.shape[1]
+        own = some_of(weight.ties)
+        rows = (d * own[:, None] + np.arange(d)).ravel()
+        later = [grown.pose(j) for j in offered.pairs[own, 1].tolist()]
+        weight.weigh(grown.reference.settled.model, later, missed[own], spread[np.ix_(rows, rows)])
         passes = weight.drift >= max(DOUBT, self._needed)
         if not passes and not weight.drift <= self._needed - contact_rise.log_odds(0.0):
             return None
-        decision = self._decision(_terms(weight, grown.reference.pose_graph), [], is_tied=passes)
-        keys = sorted({key for factor in factors_of(closure) for key in keys_of(factor)})
-        return replace(decision, keys=tuple(keys)), grown.tied(tie, missed, spread) if passes else grown
+        return self._decision(_terms(weight, grown.reference.pose_graph), [], is_tied=passes)
 
     @property
     def _needed(self) -> float:
@@ -329,6 +380,10 @@ def _terms(weight: Weight, pose_graph: PoseGraph) -> dict[str, Term]:
         label = None if weight.worst is None else key_label(int(pose_graph.keys[weight.worst]))
         terms["contact_rise"] = contact_rise.term(weight.rise, label)
     return terms
+
+
+def _keys(closure: gtsam.NonlinearFactorGraph) -> tuple[int, ...]:
+    return tuple(sorted({key for factor in factors_of(closure) for key in keys_of(factor)}))
 
 
 def _ties_nothing() -> ClosureDecision:

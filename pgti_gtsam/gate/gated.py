@@ -15,7 +15,8 @@ from pgti_gtsam.checks import shown
 from pgti_gtsam.errors import InvalidClosureError, InvalidOptionError
 from pgti_gtsam.factor_graphs import Closure, check_map, closure_graphs, factors_of, graph_of, keys_of, without
 from pgti_gtsam.gate.decision import ClosureDecision
-from pgti_gtsam.gate.gate import Judgement, LoopClosureGate
+from pgti_gtsam.gate.gate import LoopClosureGate
+from pgti_gtsam.gate.grown_map import GrownMap
 from pgti_gtsam.gate.history import GatedUpdate, Offer, Review, Step
 from pgti_gtsam.gate.kept_map import KeptMap, News, WholeMap, check_news
 from pgti_gtsam.gate.revisits import revisits
@@ -184,11 +185,11 @@ class GatedSmoother(ABC):
         turn and the first had only each other to agree with. Changes nothing: see `revise`.
         """
         asked = range(len(self._offers)) if closures is None else closures
+        grown = None if self.gate.options.scores else self._kept.whole(self.gate, self._news(), self._reuses_slots)
         decisions: dict[int, ClosureDecision] = {}
-        for revisit in self._revisits():
-            if set(revisit).isdisjoint(asked):
-                continue
-            decisions |= dict(zip(revisit, self._without(revisit).decisions, strict=True))
+        for revisit in self._revisits(grown):
+            if not set(revisit).isdisjoint(asked):
+                decisions |= dict(zip(revisit, self._without(revisit, grown), strict=True))
         return self._review(decisions)
 
     def review_afresh(self) -> Review:
@@ -197,7 +198,8 @@ class GatedSmoother(ABC):
         Where a wrong closure was admitted early and has shut out right ones elsewhere, no review of one
         revisit at a time can tell. Changes nothing.
         """
-        estimate, graph, ends = self.estimate(), self._factors_without(range(len(self._offers))), self._ends()
+        estimate, graph = self.estimate(), self._factors_without(range(len(self._offers)))
+        ends = self._ends(read_keyframes(estimate).index)
         closures = [self._offers[number].closure for number in ends]
         judged = self.gate.evaluate_group(graph, estimate, closures, self.radii)
         return self._review(dict(zip(ends, judged.decisions, strict=True)))
@@ -284,18 +286,28 @@ class GatedSmoother(ABC):
                 f"{gtsam.DefaultKeyFormatter(free)} hangs alone"
             )
 
-    def _revisits(self) -> list[list[int]]:
+    def _news(self) -> News:
+        """The map as it stands, and nothing new."""
+        return News(self._map, gtsam.NonlinearFactorGraph(), gtsam.Values(), self.radii)
+
+    def _revisits(self, grown: GrownMap | None) -> list[list[int]]:
         """Numbers of the closures of every revisit with an admitted closure."""
-        ends = self._ends()
+        # the keyframes along the track, by the kept map if that has them in order
+        way = None if grown is None else grown.way
+        if grown is None or way is None:
+            pose_graph = self.gate.adapted(self._map.getFactorsUnsafe(), self.estimate(), self.radii)
+            ends = self._ends(read_keyframes(self.estimate()).index)
+            way = track_of(pose_graph).way_m / free_space_unit(pose_graph)
+        else:
+            ends = self._ends(grown.places)
+
+        # the closures along them
         numbers = list(ends)
-        pose_graph = self.gate.adapted(self._map.getFactorsUnsafe(), self.estimate(), self.radii)
-        way = track_of(pose_graph).way_m / free_space_unit(pose_graph)
         groups = [[numbers[k] for k in group] for group in revisits(list(ends.values()), way)]
         return [group for group in groups if any(self._offers[number].slots for number in group)]
 
-    def _ends(self) -> dict[int, tuple[int, int]]:
-        """First and last keyframe of every closure on the track, by number."""
-        place = read_keyframes(self.estimate()).index
+    def _ends(self, place: Mapping[int, int]) -> dict[int, tuple[int, int]]:
+        """First and last keyframe of every closure on the track, by number, at the places of some keyframes."""
         ends = {}
         for number, offer in enumerate(self._offers):
             places = [place[key] for factor in factors_of(offer.closure) for key in keys_of(factor) if key in place]
@@ -307,7 +319,13 @@ class GatedSmoother(ABC):
         graph = self._map.getFactorsUnsafe()
         return without(graph, [slot for number in closures for slot in self._offers[number].standing(graph)])
 
-    def _without(self, revisit: Sequence[int]) -> Judgement:
+    def _without(self, revisit: Sequence[int], grown: GrownMap | None) -> tuple[ClosureDecision, ...]:
+        """Verdicts on the closures of a revisit by the map without them: the kept map where that suffices."""
+        offers, whole = [self._offers[number] for number in revisit], self._map.getFactorsUnsafe()
+        closures = [offer.closure for offer in offers]
+        held = [bool(offer.standing(whole)) for offer in offers]
+        foreseen = None if grown is None else self.gate.reviewed(grown, closures, held)
+        if foreseen is not None:
+            return foreseen
         graph = self._factors_without(revisit)
-        closures = [self._offers[number].closure for number in revisit]
-        return self.gate.evaluate_group(graph, self.estimate(), closures, self.radii)
+        return self.gate.evaluate_group(graph, self.estimate(), closures, self.radii).decisions

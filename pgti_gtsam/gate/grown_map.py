@@ -8,7 +8,7 @@ P_cc)⁻¹ e_c, with covariance P_gg − P_gc (R + P_cc)⁻¹ P_cg (Gaussian con
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -17,12 +17,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pgti_gtsam.factor_graphs import BETWEEN, factors_of, keys_of, measured_from
+from pgti_gtsam.gate.candidates import agreement
+from pgti_gtsam.gate.left_out import LEAST_REST
 from pgti_gtsam.gate.reference_map import ReferenceMap
 from pgti_gtsam.gate.ties import Ties, closures_of, errors_of, step_variances
 from pgti_gtsam.spectral.block_inverse import products, solve
 
 MOST_CLOSURES = 64
 """Closures since the reference map beyond which it is made anew: conditioning on so many takes some milliseconds."""
+
+ROUNDING = 1e-9
+"""Difference, m and rad, below which two measurements are the same."""
 
 Array = NDArray[np.float64]
 
@@ -88,6 +93,16 @@ class GrownMap:
         return self.reference.settled.model.is_planar
 
     @property
+    def way(self) -> Array | None:
+        """Way along the track to every keyframe, (n + t,), in ρ; None where these are not the track of one robot."""
+        track, n = self.reference.track, len(self.reference.pose_graph)
+        if len(self.ends) > 1 or track.order[-1] != n - 1:
+            return None
+        places = np.array([pose.translation() for pose in (self.pose(n - 1), *self.tail.poses)])
+        since = np.cumsum(np.linalg.norm(np.diff(places, axis=0), axis=1))
+        return np.append(track.way_m, track.way_m[-1] + since) / self.reference.settled.model.unit_m
+
+    @property
     def is_worn(self) -> bool:
         """Whether so much came since that the reference map is better made anew."""
         n = len(self.reference.pose_graph)
@@ -124,10 +139,10 @@ class GrownMap:
             if ends.get(_robot(key)) != before or isinstance(measured, gtsam.Pose2) is not model.is_planar:
                 return None
             step, place = turn.inverse().compose(measured).compose(turn), places[before]
-            start = self._pose(place) if place < n else poses[place - n]
+            start = self.pose(place) if place < n else poses[place - n]
             root, so_far = (place, 0.0) if place < n else (roots[place - n], gathered[place - n])
             end = start.compose(step)
-            carry = self._pose(root).between(end).AdjointMap()
+            carry = self.pose(root).between(end).AdjointMap()
             gathered.append(so_far + carry @ np.diag(self._variances(step)) @ carry.T)
             roots.append(root)
             poses.append(end)
@@ -154,6 +169,71 @@ class GrownMap:
         known = spread[:k, :k] + np.diag(self.closures.variances.ravel())
         gain = np.linalg.solve(known, spread[:k, k:]).T
         return (missed[k:] - gain @ missed[:k]).reshape(-1, d), spread[k:, k:] - gain @ spread[:k, k:]
+
+    def predicted_without(self, offered: Ties, held: Sequence[bool]) -> tuple[Array, Array] | None:
+        """As `predicted`, by the map without those of the ties that hold.
+
+        To leave out a tie of the reference map is to condition on a tie of the negative covariance −R. None where a
+        linear step does not suffice, or where nothing else relates the keyframes.
+
+        Parameters
+        ----------
+        offered : Ties
+        held : sequence of g bool
+            Which of the ties hold in the map.
+        """
+        # the ties that hold, in the reference map or since
+        own, later = self.reference.settled.model.ties, np.ones(len(self.closures.pairs), dtype=bool)
+        earlier = np.zeros(len(own.pairs), dtype=bool)
+        for k in np.flatnonzero(held).tolist():
+            since, before = (_same(ties, offered, k) for ties in (self.closures, own))
+            since, before = since[later[since]], before[~earlier[before] & (own.slots[before] >= 0)]
+            if len(since):
+                later[since[0]] = False
+            elif len(before):
+                earlier[before[0]] = True
+            else:
+                return None
+
+        # the prediction of the others
+        known = self.closures.only(later).joined(own.only(earlier))
+        signs = np.repeat([1.0, -1.0], [later.sum(), earlier.sum()])[:, None]
+        ties, d = known.joined(offered), offered.variances.shape[1]
+        k, missed, spread = d * len(known.pairs), self._missed(ties), self._covariance(ties.pairs)
+        if not (np.isfinite(spread).all() and self._hold_without(known, signs[:, 0] < 0, spread[:k, :k])):
+            return None
+        gain = np.linalg.solve(spread[:k, :k] + np.diag((signs * known.variances).ravel()), spread[:k, k:]).T
+        moved = (gain @ missed[:k]).reshape(-1, d)
+        if self.reference.settled.model.bends(moved):
+            return None
+        return missed[k:].reshape(-1, d) - moved, spread[k:, k:] - gain @ spread[:k, k:]
+
+    def _hold_without(self, ties: Ties, left_out: NDArray[np.bool_], spread: Array) -> bool:
+        """Whether the map holds together without some ties: whether R − C is well above rounding."""
+        rows = np.repeat(left_out, ties.variances.shape[1])
+        roots = np.sqrt(ties.variances.ravel()[rows])
+        rest = np.eye(len(roots)) - spread[np.ix_(rows, rows)] / (roots[:, None] * roots)
+        return bool(np.linalg.eigvalsh(rest).min(initial=1.0) > LEAST_REST)
+
+    def agree(self, offered: Ties, missed: Array) -> bool:
+        """Whether all ties of a revisit agree, where the map without them differs from the ties so much.
+
+        Parameters
+        ----------
+        offered : Ties
+        missed : (g, d) float
+            As from `predicted_without`.
+        """
+        way, model = self.way, self.reference.settled.model
+        if way is None:
+            return len(missed) == 1
+        measured = [
+            self.pose(i).compose(z) for i, z in zip(offered.pairs[:, 0].tolist(), offered.measured, strict=True)
+        ]
+        ends = [pose.compose(pose.Expmap(error)) for pose, error in zip(measured, missed, strict=True)]
+        motions = [pose.compose(end.inverse()) for pose, end in zip(measured, ends, strict=True)]
+        places = [end.translation() for end in ends]
+        return bool(agreement(motions, places, way[offered.pairs[:, 1]], model.unit_m).all())
 
     def tied(self, offered: Ties, missed: Array, spread: Array) -> GrownMap | None:
         """The map with more ties that hold; None where the ties bend the map beyond a linear step.
@@ -188,10 +268,11 @@ class GrownMap:
     def _missed(self, ties: Ties) -> Array:
         """e of each tie at the keyframes of the reference map's optimum and the steps since, (k d,)."""
         places, local = np.unique(ties.pairs, return_inverse=True)
-        poses = [self._pose(place) for place in places.tolist()]
+        poses = [self.pose(place) for place in places.tolist()]
         return errors_of(poses, local.reshape(-1, 2), ties.measured).ravel()
 
-    def _pose(self, place: int) -> Any:
+    def pose(self, place: int) -> Any:
+        """The keyframe at a place, where the optimum of the reference map and the steps since put the keyframe."""
         settled, n = self.reference.settled, len(self.reference.pose_graph)
         return settled.poses[place].retract(settled.steps[place]) if place < n else self.tail.poses[place - n]
 
@@ -227,13 +308,19 @@ class GrownMap:
         roots = np.append(np.arange(n), self.tail.roots)[pairs]
         found = [
             [
-                sign * self._pose(j).between(self._pose(root)).AdjointMap()
+                sign * self.pose(j).between(self.pose(root)).AdjointMap()
                 for sign, root in zip((-1.0, 1.0), own, strict=True)
             ]
             for j, own in zip(pairs[:, 1].tolist(), roots.tolist(), strict=True)
         ]
         d = len(self.reference.settled.model.spread)
         return roots, np.array(found).reshape(-1, 2, d, d)
+
+
+def _same(ties: Ties, offered: Ties, k: int) -> NDArray[np.int64]:
+    """Which of some ties measure the same between the same keyframes as an offered tie."""
+    rows = np.flatnonzero((ties.pairs == offered.pairs[k]).all(axis=1))
+    return rows[[ties.measured[row].equals(offered.measured[k], ROUNDING) for row in rows.tolist()]]
 
 
 def _robot(key: int) -> int:

@@ -173,6 +173,29 @@ class KeptMap:
             return Judged(decisions=(decision,), map=tied)
         return _judged_anew(gate, new, waiting, closures)
 
+    def whole(self, gate: LoopClosureGate, news: News, reuses_slots: bool) -> GrownMap | None:
+        """The kept map with the growth since, made anew where there is none.
+
+        Parameters
+        ----------
+        gate : LoopClosureGate
+        news : News
+            Without new factors.
+        reuses_slots : bool
+            Whether new factors take empty slots.
+
+        Raises
+        ------
+        PgtiError
+            As of `LoopClosureGate.reference_map`.
+        """
+        grown = self._grown(news)
+        if grown is None:
+            graph, estimate = joined(news.map.getFactorsUnsafe()), news.map.calculateEstimate()
+            grown = GrownMap.of(gate.reference_map(graph, estimate, news.radii))
+            self.keep(grown, news.map, reuses_slots=reuses_slots)
+        return grown
+
     def note(self, factors: gtsam.NonlinearFactorGraph, values: gtsam.Values, slots: Sequence[int]) -> None:
         """Note the growth of a step without closures.
 

@@ -59,6 +59,29 @@ def left_out_together(settled: Settled, groups: Sequence[NDArray[np.int64]]) -> 
     return found
 
 
+def given_others(missed: Array, spread: Array, variances: Array) -> tuple[Array, Array]:
+    """What some ties miss of a prediction by all the others of them as well, (g, d), and its covariance, (g, d, d).
+
+    Parameters
+    ----------
+    missed : (g, d) float
+        Differences of the ties from a prediction without any of them.
+    spread : (g d, g d) float
+        Joint covariance of that prediction.
+    variances : (g, d) float
+        Of the ties.
+    """
+    g, d = missed.shape
+    own, others = np.empty((g, d)), np.empty((g, d, d))
+    known, flat = spread + np.diag(variances.ravel()), missed.ravel()
+    for k, inner in enumerate(np.arange(g * d).reshape(g, d)):
+        rest = np.delete(np.arange(g * d), inner)
+        gain = np.linalg.solve(known[np.ix_(rest, rest)], spread[np.ix_(rest, inner)]).T
+        own[k] = missed[k] - gain @ flat[rest]
+        others[k] = spread[np.ix_(inner, inner)] - gain @ spread[np.ix_(rest, inner)]
+    return own, others
+
+
 def _alone(settled: Settled) -> NDArray[np.int64]:
     """Active closures without which the map would fall apart."""
     ties, active, n = settled.model.ties, settled.active, len(settled.poses)

@@ -18,7 +18,7 @@ from pgti_gtsam.gate.scored_map import ScoredMap
 from pgti_gtsam.gate.settled import Settled, settle
 from pgti_gtsam.gate.terms.contact_rise import Contacts, contacts
 from pgti_gtsam.pose_graph import EdgeSource, PoseGraph
-from pgti_gtsam.track import track_of
+from pgti_gtsam.track import Track, track_of
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -81,6 +81,11 @@ class ReferenceMap:
         return contacts(self._own)
 
     @cached_property
+    def track(self) -> Track:
+        """The track of the map's own keyframes."""
+        return track_of(self.pose_graph)
+
+    @cached_property
     def scored(self) -> ScoredMap:
         """The same map factorised, for Λ and Λ_glob of maps that differ by a few edges."""
         return ScoredMap.of(self._own, self.beta)
@@ -102,7 +107,7 @@ class ReferenceMap:
 
     def revisits(self, offered: Settled) -> list[NDArray[np.int64]]:
         """Groups of candidate ties of a revisit that agree."""
-        way = track_of(self.pose_graph).way_m / offered.model.unit_m
+        way = self.track.way_m / offered.model.unit_m
         return agreeing(offered, np.arange(self.n_ties, len(offered.active)), way)
 
     def drawn(self, model: DriftModel, poses: Sequence[Any], active: NDArray[np.bool_]) -> PoseGraph:
