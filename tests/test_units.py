@@ -14,6 +14,7 @@ from test_datasets_rtabmap import truth
 
 import pgti_gtsam as pgti
 from pgti_gtsam.datasets import write_g2o
+from pgti_gtsam.report.digits import packable, stable
 
 UTM = np.array([5e5, 5e6, 100.0])  # m
 FRAMES = {"µm": (1e6, 0.0), "Mm": (1e-6, 0.0), "UTM": (1.0, UTM), "UTM in µm": (1e6, 1e6 * UTM)}
@@ -22,12 +23,12 @@ FALSE = [(5, 48), (0, 37)]
 RADIUS = 3.0  # m
 
 
-def laps(spatial, scale=1.0, offset=0.0):
-    """Three laps whose odometry drifts, with five true closures and two false ones; lengths times a scale."""
+def laps(spatial, scale=1.0, offset=0.0, n=60):
+    """Three laps, or more, whose odometry drifts, with five true closures and two false ones; lengths times a scale."""
     rng = np.random.default_rng(5)
     sigmas = np.array([1e-3, 1e-3, 4e-3, 0.05, 0.05, 0.01] if spatial else [0.05, 0.05, 4e-3])
     length = np.array([1, 1, 1, scale, scale, scale] if spatial else [scale, scale, 1.0])
-    drawn = [truth(5 * i) for i in range(60)]
+    drawn = [truth(5 * i) for i in range(n)]
     poses = drawn if spatial else [gtsam.Pose2(*pose.translation()[:2], pose.rotation().yaw()) for pose in drawn]
     tie, group = (gtsam.BetweenFactorPose3, gtsam.Pose3) if spatial else (gtsam.BetweenFactorPose2, gtsam.Pose2)
     noise = gtsam.noiseModel.Diagonal.Sigmas(sigmas * length)
@@ -38,7 +39,7 @@ def laps(spatial, scale=1.0, offset=0.0):
         return group(pose.rotation(), scale * place + np.resize(shift, len(place)))
 
     values.insert(0, in_unit(here, offset))
-    for i in range(59):
+    for i in range(n - 1):
         step = poses[i].between(poses[i + 1]).compose(group.Expmap(rng.normal(size=len(sigmas)) * sigmas))
         graph.push_back(tie(i, i + 1, in_unit(step), noise))
         here = here.compose(step)
@@ -77,7 +78,8 @@ def judged(graph, values, radius):
 
 
 def test_seeds_of_hashes_and_threads_change_no_byte(tmp_path):
-    write_g2o(*laps(spatial=False), tmp_path / "laps.g2o")
+    """With 400 keyframes the scores of one and of two threads differ in the 13th digit."""
+    write_g2o(*laps(spatial=False, n=400), tmp_path / "laps.g2o")
     first, second = (written(tmp_path, seed, threads) for seed, threads in (("0", "1"), ("1", "2")))
     assert first.keys() == second.keys()
     assert len(first) == 7
@@ -107,3 +109,18 @@ for words in commands:
         [sys.executable, "-c", script, commands], cwd=out, env=os.environ | environment, check=True, capture_output=True
     )
     return {path.name: path.read_bytes() for path in out.iterdir()}
+
+
+def test_digits_of_documents():
+    """Six are left, of lengths of the map all; numbers whose last digits differ are the same."""
+    rng = np.random.default_rng(3)
+    numbers = rng.normal(size=1000) * 10.0 ** rng.integers(-12, 12, 1000)
+    found = stable({"score": numbers.tolist(), "keyframes": {"position": [1 / 3]}, "n": 1234567, "words": "1.23456789"})
+    np.testing.assert_allclose(found["score"], numbers, rtol=5e-6)
+    assert stable({"score": (numbers * (1 + 1e-12)).tolist()})["score"] == found["score"]
+    assert (found["keyframes"], found["n"], found["words"]) == ({"position": [1 / 3]}, 1234567, "1.23456789")
+    assert stable({"a": [0.0, -1.23456789e-7, 0.99999951]}) == {"a": [0.0, -1.23457e-7, 1.0]}
+    packed = packable(numbers.reshape(10, 100))
+    np.testing.assert_allclose(packed, numbers.reshape(10, 100), rtol=5e-4)
+    assert (packable(packed * (1 + 1e-12)) == packed).all()
+    assert packable([0.0, 1234.56]).tolist() == [0.0, 1235.0]

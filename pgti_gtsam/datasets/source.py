@@ -174,13 +174,18 @@ def read_bytes(path: Path, limit: int | None = None) -> bytes:
         No such file, a folder, a damaged file, or a file that unpacks to more than any map holds.
     """
     try:
+        # plain, as its first bytes tell
         with path.open("rb") as file:
             start = file.read(6)
             opener = next((opener for magic, opener in OPENERS.items() if start.startswith(magic)), None)
             if opener is None:
                 return start + file.read(-1 if limit is None else max(0, limit - len(start)))
+
+        # compressed
         with opener(path) as stream:
             return bytes(stream.read(limit)) if limit is not None else _unpacked(path, stream)
+
+    # no such file, or a damaged file
     except IsADirectoryError:
         raise FileFormatError(path, "is a directory, expected a file") from None
     except FileNotFoundError:

@@ -16,6 +16,7 @@ from pgti_gtsam import outputs
 from pgti_gtsam.adapter.values import Keyframes
 from pgti_gtsam.gate import Change, ClosureDecision
 from pgti_gtsam.pose_graph import key_label
+from pgti_gtsam.report.digits import in_stable_digits
 from pgti_gtsam.version import __version__
 
 SCHEMA = "pgti-gtsam/closures"
@@ -65,6 +66,7 @@ def _record(slot: int, decision: ClosureDecision, ends: Sequence[int]) -> Record
     }
 
 
+@in_stable_digits
 def evidence(decision: ClosureDecision) -> Record:
     """The verdict on a closure with its reasons, as `decision_records` has them."""
     return {

@@ -23,6 +23,7 @@ from pgti_gtsam.diagnosis.sweep import Swept, fragile
 from pgti_gtsam.integrity import BetaSplit, Distortion
 from pgti_gtsam.optimality import GraphOptimality
 from pgti_gtsam.pose_graph import key_label
+from pgti_gtsam.report.digits import in_stable_digits, packable
 from pgti_gtsam.version import __version__
 
 SCHEMA = "pgti-gtsam/audit"
@@ -36,6 +37,7 @@ SWEPT_BETAS = tuple(k / 20 for k in range(1, 20))
 Document = dict[str, Any]
 
 
+@in_stable_digits
 def audit_document(
     diagnosis: Diagnosis,
     *,
@@ -250,7 +252,7 @@ def _signatures(diagnosis: Diagnosis) -> Document:
 
 
 def _packed(array: NDArray[np.float64]) -> Document:
-    data = np.ascontiguousarray(array, dtype="<f4")
+    data = np.ascontiguousarray(packable(array), dtype="<f4")
     return {"dtype": "float32", "shape": list(data.shape), "base64": base64.b64encode(data.tobytes()).decode()}
 
 

@@ -13,8 +13,10 @@ from plotly.subplots import make_subplots
 
 from pgti_gtsam import outputs
 from pgti_gtsam.diffusion import Study
+from pgti_gtsam.report.digits import in_stable_digits
 
 
+@in_stable_digits
 def heat_document(study: Study, name: str) -> dict[str, Any]:
     """Everything found, ready for JSON; numbers that do not exist are null.
 

@@ -21,6 +21,7 @@ from pgti_gtsam.mend import Attempt, Mended
 from pgti_gtsam.mend.exchange import degrees, g2o_lines, planar
 from pgti_gtsam.pose_graph import EdgeSource, key_label
 from pgti_gtsam.report import web
+from pgti_gtsam.report.digits import in_stable_digits
 from pgti_gtsam.report.document import Document
 from pgti_gtsam.version import __version__
 
@@ -34,6 +35,7 @@ NEAR_M = 300.0
 """Distance beyond which points are left out: int16 holds centimetres up to there."""
 
 
+@in_stable_digits
 def mended_document(
     mended: Mended,
     graph: Any,

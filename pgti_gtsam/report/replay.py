@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from pgti_gtsam import outputs
 from pgti_gtsam.replay import METRICS, Replay
 from pgti_gtsam.report import web
+from pgti_gtsam.report.digits import in_stable_digits
 from pgti_gtsam.report.document import Document
 from pgti_gtsam.support_graph import support_graph
 from pgti_gtsam.version import __version__
@@ -24,6 +25,7 @@ _LEVELS = 254
 """Steps of the colour scale; one byte a keyframe and moment, of which 255 stands for an infinite score."""
 
 
+@in_stable_digits
 def replay_document(replay: Replay, *, name: str, file_format: str, notes: Sequence[str] = ()) -> Document:
     """Put a replay into a JSON-ready mapping.
 
