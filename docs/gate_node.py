@@ -1,9 +1,11 @@
 """The gate as a ROS 2 node: lines come on a topic, verdicts go on another.
 
-Start `pgti-gtsam gate --socket /tmp/gate.sock --radius 1`, then `python3 gate_node.py`; its parameter is `socket`.
+Start `pgti-gtsam gate --socket /tmp/gate.sock --radius 1 --state robots`, then `python3 gate_node.py`. Its parameters
+are `socket` and `client`, the name that the gate keeps this robot's map by; without a name the map ends with the node.
 A SLAM node publishes each g2o line, or JSON object, on `gate/lines` and reads a JSON object a line on `gate/verdicts`.
 """
 
+import json
 import socket
 import threading
 
@@ -23,6 +25,8 @@ class GateNode(Node):
         path = self.declare_parameter("socket", "/tmp/gate.sock").value
         self._gate = socket.socket(socket.AF_UNIX)
         self._gate.connect(path)
+        if name := self.declare_parameter("client", "").value:
+            self._gate.sendall(json.dumps({"client": name}).encode() + b"\n")
         self._verdicts = self.create_publisher(String, "gate/verdicts", EVERY_LINE)
         self.create_subscription(String, "gate/lines", self._send, EVERY_LINE)
         threading.Thread(target=self._publish, daemon=True).start()

@@ -149,6 +149,77 @@ def test_two_clients_of_a_socket_have_a_map_each_and_so_has_one_in_another_langu
     assert not path.exists()
 
 
+def test_a_client_that_says_its_name_goes_on_where_it_was(tmp_path):
+    path, lines = tmp_path / "gate.sock", lap()
+    name, half = b'{"client": "robot-1"}\n', len(lines) - 1
+    text = ["".join(line + "\n" for line in part).encode() for part in (lines[:half], lines[half:])]
+    server = started("--socket", path, "--radius", RADIUS_M, "--state", tmp_path / "maps")
+    try:
+        first = connected(path, server)
+        first.sendall(name + text[0])
+        told = first.makefile()
+        answers = [json.loads(told.readline())]
+
+        # the name is taken as long as the first is there
+        for client, said in ((name, "another process keeps"), (b'{"client": "../x"}\n', "a client's name")):
+            other = connected(path, server)
+            other.sendall(client)
+            (answer,) = map(json.loads, other.makefile())
+            assert (answer["line"], said in answer["error"]) == (0, True)
+
+        # gone, and back
+        told.close()
+        first.close()
+        again = {}
+        while "resumed" not in again:  # until the process of the first has written its map
+            second = connected(path, server)
+            second.sendall(name)
+            answer = second.makefile()
+            again = json.loads(answer.readline())
+        assert again["resumed"]["line"] == half
+        second.sendall(text[1])
+        second.shutdown(socket.SHUT_WR)
+        answers += [json.loads(line) for line in answer]
+        for own, whole in zip(answers, answered(lines), strict=True):
+            assert (own["line"], own["verdict"]) == (whole["line"], whole["verdict"])
+            assert own["log_odds"] == pytest.approx(whole["log_odds"], rel=1e-6)
+    finally:
+        server.terminate()
+        assert server.wait(timeout=20) == 0
+    assert [each.name for each in (tmp_path / "maps").iterdir()] == ["robot-1.json"]
+
+
+def test_a_server_without_states_keeps_no_maps(tmp_path):
+    path = tmp_path / "gate.sock"
+    server = started("--socket", path)
+    try:
+        client = connected(path, server)
+        client.sendall(b'{"client": "robot-1"}\n')
+        (answer,) = map(json.loads, client.makefile())
+        assert "keeps no maps" in answer["error"]
+    finally:
+        server.terminate()
+        assert server.wait(timeout=20) == 0
+
+
+def test_a_state_belongs_to_one_process(run, tmp_path):
+    state = tmp_path / "state.json"
+    first = started("--stream", "--radius", RADIUS_M, "--state", state)
+    first.stdin.write(b"EDGE_SE2 0 1 x\n")
+    first.stdin.flush()
+    assert "error" in json.loads(first.stdout.readline())
+    code, out, err = run("gate", "--stream", "--state", state)
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    assert "another process keeps" in err
+    first.kill()
+    first.wait()
+    last = started("--stream", "--state", state)
+    last.stdin.close()
+    assert json.loads(last.stdout.readline())["resumed"]["line"] == 1
+    assert last.wait(timeout=60) == 0
+    assert [path.name for path in tmp_path.iterdir()] == ["state.json"]
+
+
 def connected(path, server):
     """A client, as soon as the server is there."""
     for _ in range(600):
@@ -197,7 +268,8 @@ def test_a_pipe_that_breaks_ends_a_stream_quietly():
     [
         (["map.g2o", "--stream"], "expected a stream alone, got a FILE"),
         (["--stream", "--out", "x.g2o"], "got --out"),
-        (["--socket", "s", "--state", "t"], "expected --socket alone"),
+        (["--socket", "s", "--stream"], "expected --stream or --socket"),
+        (["--socket", "s", "--state", __file__], "--state with --socket as a folder"),
         (["map.g2o", "--state", "t"], "expected --state with --stream"),
         ([], "expected a FILE, or --stream"),
         (["--socket", __file__], "expected the name of a new socket"),

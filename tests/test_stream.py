@@ -272,6 +272,7 @@ def test_a_journal_loses_no_line_and_repeats_what_may_have_got_lost(world, tmp_p
         journal.note(session, line.encode() + b"\n")
     journal._lines.write(b"99 EDGE_SE2 5 3")  # killed in the middle of a line
     journal._lines.flush()
+    journal._lock.close()
 
     session, first = Journal(tmp_path / "state.json").opened(GATE)
     where = {"line": len(lines), "variables": LAP + 6, "undecided": 0}

@@ -104,7 +104,8 @@ def gate(
     state: Annotated[
         Path | None,
         typer.Option(
-            metavar="FILE", help="Keep the stream's map in this file; go on from there where the file exists."
+            metavar="PATH",
+            help="Keep the stream's map in this file, the maps of a socket's clients in this folder; go on from there.",
         ),
     ] = None,
 ) -> None:
@@ -118,7 +119,7 @@ def gate(
     of_files |= {"--html": html, "--out": out, "--out-values": out_values, "--rejected": rejected}
     check_alone(of_files, state, socket, stream=stream)
     if socket is not None:
-        return serve_socket(judge, radius, socket)
+        return serve_socket(judge, radius, socket, state)
     if stream:
         return serve_standard_input(judge, radius, state)
     if not file:

@@ -8,15 +8,16 @@ import socket
 import socketserver
 import sys
 from collections.abc import Mapping
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 import typer
 
 from pgti_gtsam.cli.options import CLOSED_PIPE, discard_output
-from pgti_gtsam.errors import InvalidOptionError
+from pgti_gtsam.errors import InvalidOptionError, PgtiError
 from pgti_gtsam.gate import LoopClosureGate
-from pgti_gtsam.stream import Journal, Session, serve
+from pgti_gtsam.stream import Journal, Session, client_of, serve
 from pgti_gtsam.stream.serving import tell
 
 ENDING = (signal.SIGINT, signal.SIGTERM)
@@ -32,14 +33,13 @@ def check_alone(others: Mapping[str, Any], state: Path | None, address: Path | N
     """
     if not stream and address is None:
         if state is not None:
-            raise InvalidOptionError("expected --state with --stream, which it keeps, got it without")
+            raise InvalidOptionError("expected --state with --stream or --socket, which it keeps, got it without")
         return
     given = next((name for name, value in others.items() if value), None)
     if given is not None:
         raise InvalidOptionError(f"expected a stream alone, got {given} too; files are for gate without --stream")
-    if address is not None and (state is not None or stream):
-        name = "--state" if state is not None else "--stream"
-        raise InvalidOptionError(f"expected --socket alone, got {name} too: each client has a map of its own")
+    if address is not None and stream:
+        raise InvalidOptionError("expected --stream or --socket, got both: each client has a map of its own")
 
 
 def serve_standard_input(gate: LoopClosureGate, radius_m: float | None, state: Path | None) -> None:
@@ -63,7 +63,7 @@ def serve_standard_input(gate: LoopClosureGate, radius_m: float | None, state: P
         raise typer.Exit(CLOSED_PIPE) from None
 
 
-def serve_socket(gate: LoopClosureGate, radius_m: float | None, path: Path) -> None:
+def serve_socket(gate: LoopClosureGate, radius_m: float | None, path: Path, states: Path | None = None) -> None:
     """Answer any number of clients on a Unix socket, each with a map and a process of its own, until a signal ends it.
 
     Parameters
@@ -73,9 +73,13 @@ def serve_socket(gate: LoopClosureGate, radius_m: float | None, path: Path) -> N
         Metres around every keyframe; None where lines bring the radii.
     path : Path
         Name of the socket.
+    states : Path, optional
+        Folder that keeps the maps of clients that say their names, made where there is none.
     """
     _make_room(path)
-    with _Server(str(path), gate, radius_m) as server:
+    if states is not None:
+        _make_folder(states)
+    with _Server(str(path), gate, radius_m, states) as server:
         for number in ENDING:
             signal.signal(number, server.end)
         try:
@@ -102,19 +106,45 @@ def _make_room(path: Path) -> None:
     raise InvalidOptionError(f"expected a socket of this server alone, got {path}, which another one serves")
 
 
+def _make_folder(path: Path) -> None:
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InvalidOptionError(
+            f"expected --state with --socket as a folder, a file a client, got {path}: {error.strerror or error}"
+        ) from error
+
+
 class _Client(socketserver.StreamRequestHandler):
     """A client of a socket, in a process of its own, which a signal ends."""
 
     server: _Server
 
     def handle(self) -> None:
+        self.server.socket.close()  # the parent's: nobody can connect any more when that has gone
         for number in ENDING:
             signal.signal(number, signal.SIG_DFL)
         signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDING)
         try:
-            serve(Session.started(self.server.gate, self.server.radius_m), self.rfile, self.wfile)
+            self._serve()
+        except PgtiError as error:
+            tell([{"line": 0, "error": str(error)}], self.wfile)
         except (BrokenPipeError, ConnectionResetError):  # the client has gone
             return
+
+    def _serve(self) -> None:
+        """Serve the client with a map of its own, kept under the client's name where it says one."""
+        server, first = self.server, self.rfile.readline()
+        name = client_of(first.decode("utf-8", "replace"))
+        if name is None:
+            serve(Session.started(server.gate, server.radius_m), chain([first], self.rfile), self.wfile)
+            return
+        if server.states is None:
+            raise InvalidOptionError(f"expected lines of a map, got the name {name}: this server keeps no maps")
+        journal = Journal(server.states / f"{name}.json")
+        session, said = journal.opened(server.gate, server.radius_m)
+        tell(said, self.wfile)
+        serve(session, self.rfile, self.wfile, journal)
 
 
 class _Server(socketserver.ForkingMixIn, socketserver.UnixStreamServer):
@@ -122,9 +152,9 @@ class _Server(socketserver.ForkingMixIn, socketserver.UnixStreamServer):
 
     timeout = 0.2  # s, after which it looks whether it is to end
 
-    def __init__(self, path: str, gate: LoopClosureGate, radius_m: float | None) -> None:
+    def __init__(self, path: str, gate: LoopClosureGate, radius_m: float | None, states: Path | None) -> None:
         super().__init__(path, _Client)
-        self.gate, self.radius_m, self.ends = gate, radius_m, False
+        self.gate, self.radius_m, self.states, self.ends = gate, radius_m, states, False
 
     def end(self, *_: object) -> None:
         """Take no more clients."""

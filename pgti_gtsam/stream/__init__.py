@@ -5,7 +5,8 @@ two.
 """
 
 from pgti_gtsam.stream.journal import Journal
+from pgti_gtsam.stream.lines import client_of
 from pgti_gtsam.stream.serving import serve
 from pgti_gtsam.stream.session import Session
 
-__all__ = ["Journal", "Session", "serve"]
+__all__ = ["Journal", "Session", "client_of", "serve"]

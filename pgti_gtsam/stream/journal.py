@@ -6,12 +6,15 @@ before the answer: a process killed in between answers the line when resumed, an
 
 from __future__ import annotations
 
+import fcntl
 import json
+import os
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from pgti_gtsam import outputs
-from pgti_gtsam.errors import FileFormatError
+from pgti_gtsam.errors import FileFormatError, InvalidOptionError, OutputError, PgtiError
 from pgti_gtsam.gate import LoopClosureGate
 from pgti_gtsam.gate.saved import read_state
 from pgti_gtsam.stream.session import Answer, Session
@@ -33,6 +36,7 @@ class Journal:
 
     def __init__(self, path: Path) -> None:
         self.path, self.lines_path = path, path.with_name(path.name + ".lines")
+        self._lock: Any = None  # the file of the lines, held as long as the session lasts
         self._lines: Any = None
         self._count = 0
 
@@ -50,11 +54,23 @@ class Journal:
 
         Raises
         ------
+        InvalidOptionError
+            Another process keeps a session there.
         FileFormatError
             The file holds something else.
         PgtiError
             As of `Session.resumed`.
         """
+        self._lock = _locked(self.lines_path)
+        try:
+            return self._read(gate, radius_m)
+        except PgtiError:
+            if not self.lines_path.stat().st_size:
+                self.lines_path.unlink()
+            self._lock.close()
+            raise
+
+    def _read(self, gate: LoopClosureGate, radius_m: float | None) -> tuple[Session, list[Answer]]:
         if not self.path.exists():
             session = Session.started(gate, radius_m)
             self.save(session)
@@ -100,11 +116,33 @@ class Journal:
         self.save(session)
         self._lines.close()
         self.lines_path.unlink()
+        self._lock.close()
 
     def _kept_lines(self, after: int) -> list[str]:
         """Lines behind the state, whole lines only."""
-        if not self.lines_path.exists():
-            return []
         raw = self.lines_path.read_bytes().split(b"\n")[:-1]
         numbered = [line.decode("utf-8", "replace").partition(" ") for line in raw]
-        return [text for number, _, text in numbered if int(number) > after]
+        return [text for number, _, text in numbered if number.isdecimal() and int(number) > after]
+
+
+def _locked(path: Path) -> Any:
+    """A file that no other process holds, made where there is none; the lock ends with the process at the latest."""
+    while True:
+        try:
+            file = path.open("ab")
+        except OSError as error:
+            raise OutputError(f"{path} cannot be written: {error.strerror or error}; nothing was written") from error
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            file.close()
+            name = path.with_suffix("")
+            raise InvalidOptionError(
+                f"expected a state of this process alone, got {name}, which another process keeps; name another state"
+            ) from None
+
+        # another process may have ended, and removed the file, in between
+        with suppress(FileNotFoundError):
+            if os.path.samestat(os.fstat(file.fileno()), path.stat()):
+                return file
+        file.close()

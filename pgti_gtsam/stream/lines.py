@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from operator import itemgetter
@@ -29,6 +30,9 @@ WISHES = {"FIX", "VERTEX_SWITCH", "EDGE_SWITCH_PRIOR", "PARAMS_CAMERAPARAMETERS"
 """Lines for an optimiser, of which nothing is read."""
 
 KNOWN = {*g2o.POSES, *EDGES, *POINTS, *SIGHTING_TAGS, *PARAMETERS, *WISHES, g2o.POSITION, RADIUS}
+
+NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
+"""A client's name, which becomes that of a file."""
 
 Kind = Literal["odometry", "closure"]
 Name = str | int | None
@@ -115,6 +119,27 @@ def message_of(line: str) -> Message:
     if kind not in (None, "odometry", "closure"):
         raise InvalidOptionError(f"expected kind odometry or closure, got {quote(kind)}")
     return Message(tuple(texts), name, kind, _radii(said.get("radii", {})))
+
+
+def client_of(line: str) -> str | None:
+    """The name that a client gives itself, in a line before all others; None for any other line.
+
+    Raises
+    ------
+    InvalidOptionError
+        The name cannot be that of a file everywhere.
+    """
+    try:
+        said = json.loads(line)
+    except ValueError:
+        return None
+    if not isinstance(said, dict) or set(said) != {"client"}:
+        return None
+    if not isinstance(said["client"], str) or not NAME.fullmatch(said["client"]):
+        raise InvalidOptionError(
+            f"expected a client's name of up to 100 letters, digits, '.', '-' and '_', got {quote(said['client'])}"
+        )
+    return str(said["client"])
 
 
 def _radii(said: object) -> dict[int, float]:
