@@ -1,6 +1,7 @@
 """Mending: wrong closures out, ties that scans confirm in, and nothing that they do not."""
 
 import json
+from dataclasses import replace
 from itertools import pairwise
 
 import gtsam
@@ -13,7 +14,7 @@ import pgti_gtsam as pgti
 from pgti_gtsam import datasets
 from pgti_gtsam.errors import FileFormatError
 from pgti_gtsam.mend import alignment as aligning
-from pgti_gtsam.mend.common_view import common_view
+from pgti_gtsam.mend.common_view import View, common_view
 from pgti_gtsam.mend.records import Wanted
 from pgti_gtsam.mend.starts import starts
 from pgti_gtsam.mend.submap import Submap
@@ -129,6 +130,15 @@ def test_the_mended_map_lies_nearer_to_the_truth(ring, mended):
     assert mended.after.verdict == "consistent"
 
 
+def test_a_consistent_map_stays_as_it_is(ring, mended):
+    truth, ranges, _ = ring
+    clouds = pgti.scans_of({key: points(own) for key, own in enumerate(ranges)})
+    again = pgti.mend(mended.graph, mended.values, clouds, radii=UNIT)
+    assert again.before.verdict == "consistent"
+    assert (again.attempts, dict(again.out)) == ((), {})
+    assert all(again.values.atPose2(k).equals(mended.values.atPose2(k), 1e-3) for k in range(len(truth)))
+
+
 def test_every_attempt_says_why(mended):
     assert all(attempt.reason.endswith(".") for attempt in mended.attempts)
 
@@ -171,10 +181,30 @@ def test_a_blank_corridor_gives_no_information_along_it():
     walls = np.array([[[-60.0, -1], [60, -1]], [[-60, 1], [60, 1]]])
     predicted, sigmas = gtsam.Pose2(0.5, 0.1, 0.02), [0.1, 0.1, 0.03]
     found = aligned(walls, gtsam.Pose2(), gtsam.Pose2(0.4, 0.0, 0.0), predicted, sigmas)
+    assert found.pose.x() == pytest.approx(predicted.x(), abs=0.01)  # nothing but the prediction says
+    assert found.pose.y() == pytest.approx(0.0, abs=0.02)
     information = tie(wanted(predicted, sigmas), found, UNIT, 1.0).noiseModel().information()
     assert information[0, 0] < 1e-3 * information[1, 1]
     assert free_allowance_m(wanted(predicted, sigmas), found, UNIT) == pytest.approx(0.1, rel=0.05)
-    assert sensors_say(wanted(predicted, [1.0, 0.1, 0.03]), found, UNIT)[0] == "undecided"
+    assert sensors_say(replace(wanted(predicted, sigmas), place="missed closure"), found, UNIT)[0] == "confirmed"
+    assert sensors_say(wanted(predicted, sigmas), found, UNIT)[0] == "undecided"
+    loose = replace(wanted(predicted, [1.0, 0.1, 0.03]), place="missed closure")
+    assert sensors_say(loose, found, UNIT)[0] == "undecided"
+
+
+def doors(every):
+    """A corridor of 40 m with a recess in its left wall every so many metres."""
+    steps = np.arange(-20.0, 20.0, every)
+    walls = [[[-20.0, -1], [20, -1]], *([[x, 1], [x + every - 0.6, 1]] for x in steps)]
+    walls += [wall for x in steps + every for wall in ([[x - 0.6, 1], [x - 0.6, 1.5]], [[x - 0.6, 1.5], [x, 1.5]])]
+    return np.array(walls)
+
+
+def test_a_corridor_that_fits_at_the_next_door_is_left_open():
+    sigmas = [1.5, 0.1, 0.03]
+    fit = aligned(doors(2.0), gtsam.Pose2(), gtsam.Pose2(0.3, 0, 0), gtsam.Pose2(0.5, 0, 0), sigmas)
+    assert fit.rival.weight > 0.8 * fit.view.weight
+    assert sensors_say(wanted(gtsam.Pose2(0.5, 0, 0), sigmas), fit, UNIT)[0] == "undecided"
 
 
 def test_a_cluttered_room_is_held_in_all_directions():
@@ -190,11 +220,12 @@ def test_scans_of_other_places_are_not_confirmed():
 
 
 def test_a_point_in_free_space_contradicts_and_one_behind_a_wall_does_not():
-    view = points(scan(box(-2, -2, 4, 4), gtsam.Pose2()))
-    same = common_view((view, view), (view, view), 0.2)
-    assert (same.agreement, same.seen) == (1.0, 1.0)
-    assert common_view((view, view), (0.5 * view, 0.5 * view), 0.2).agreement == 0.0
-    assert common_view((view, view), (2 * view, 2 * view), 0.2).seen == 0.0
+    ends = points(scan(box(-2, -2, 4, 4), gtsam.Pose2()))
+    views = View.of(ends), View.of(ends)
+    same = common_view(views, (ends, ends), 0.2)
+    assert (same.agreement, same.seen, same.weight) == (1.0, 1.0, 1.0)
+    assert common_view(views, (0.5 * ends, 0.5 * ends), 0.2).agreement == 0.0
+    assert common_view(views, (2 * ends, 2 * ends), 0.2).seen == 0.0
 
 
 def test_starts_begin_at_the_prediction_and_stay_in_the_region():

@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from pgti_gtsam.mend.clouds import Points
@@ -19,6 +20,13 @@ BEAMS = 3.0
 
 BESIDE = {2: 3, 3: 9}
 """Beams that are asked about a point, by dimension: all of those about its direction must end behind it."""
+
+TURNED = 0.02
+"""Angle, rad, by which a fit and the drift within a submap turn points. Points may lie apart by so much of their
+distance, or beams that graze a wall would seem to see through the wall."""
+
+AGREES = 0.9
+"""Agreement of two views from which the sensors confirm a fit."""
 
 MOST = 2000
 """Points of each cloud that are asked, evenly drawn."""
@@ -39,18 +47,60 @@ class CommonView:
     agreement: float
     seen: float
 
+    @property
+    def weight(self) -> float:
+        """Points seen by both less points seen through, which count so much that the sum is 0 at `AGREES`."""
+        if not self.agreement:
+            return -np.inf
+        return self.seen * (1 - (1 / self.agreement - 1) / (1 / AGREES - 1))
 
-def common_view(views: tuple[Points, Points], points: tuple[Points, Points], tolerance_m: float) -> CommonView:
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class View:
+    """The free space that a sensor sees: beams from the sensor to the points.
+
+    Attributes
+    ----------
+    ends : KDTree
+        Of the points that beams end at, m.
+    directions : KDTree
+        Of the beams, on the unit sphere.
+    depths_m : (n,) float
+        Length of every beam; a last one, infinite, is of no beam.
+    spacing : float
+        Distance between neighbouring beams on the unit sphere.
+    """
+
+    ends: KDTree
+    directions: KDTree
+    depths_m: NDArray[np.float64]
+    spacing: float
+
+    @classmethod
+    def of(cls, points: Points) -> View:
+        """The view of a sensor that sees some points, (n, 2) or (n, 3), n > 1, m."""
+        depths = np.linalg.norm(points, axis=1)
+        points, depths = points[depths > 0], depths[depths > 0]
+        beams = points / depths[:, None]
+        directions = KDTree(beams)
+        return cls(
+            ends=KDTree(points),
+            directions=directions,
+            depths_m=np.append(depths, np.inf),
+            spacing=float(np.median(np.asarray(directions.query(beams, k=2)[0])[:, 1])),
+        )
+
+
+def common_view(views: tuple[View, View], points: tuple[Points, Points], tolerance_m: float) -> CommonView:
     """Compare two views.
 
     Parameters
     ----------
-    views : two (n, d) float, m
-        Points seen from either sensor, in the sensor's own frame.
+    views : two View
     points : two (m, d) float, m
         Points of the second submap, seen from the first sensor, and the reverse.
     tolerance_m : float
-        How far apart points of the same surface may lie.
+        How far apart points of the same surface may lie near the sensor; `TURNED` of the distance is added.
     """
     found = [_seen(view, drawn(others, MOST), tolerance_m) for view, others in zip(views, points, strict=True)]
     both, through, asked = (np.array(each) for each in zip(*found, strict=True))
@@ -60,22 +110,19 @@ def common_view(views: tuple[Points, Points], points: tuple[Points, Points], tol
     )
 
 
-def _seen(view: Points, points: Points, tolerance_m: float) -> tuple[int, int, int]:
+def _seen(view: View, points: Points, tolerance_m: float) -> tuple[int, int, int]:
     """How many points of another cloud a view sees, sees through, and is asked for."""
-    depths, distances = np.linalg.norm(view, axis=1), np.linalg.norm(points, axis=1)
-    view, depths = view[depths > 0], depths[depths > 0]
+    distances = np.linalg.norm(points, axis=1)
     points, distances = points[distances > tolerance_m], distances[distances > tolerance_m]
-    beams, towards = view / depths[:, None], points / distances[:, None]
-    away = np.asarray(KDTree(view).query(points, distance_upper_bound=tolerance_m)[0])
-    is_near = away <= tolerance_m
+    allowed = tolerance_m + TURNED * distances
+    is_near = np.asarray(view.ends.query(points, distance_upper_bound=allowed.max(initial=0.0))[0]) <= allowed
 
     # the nearest depth of the beams about a point's direction
-    tree = KDTree(beams)
-    spacing = float(np.median(np.asarray(tree.query(beams, k=2)[0])[:, 1]))
-    found = tree.query(towards, k=BESIDE[view.shape[1]], distance_upper_bound=BEAMS * spacing)
+    towards, n_beside = points / distances[:, None], BESIDE[points.shape[1]]
+    found = view.directions.query(towards, k=n_beside, distance_upper_bound=BEAMS * view.spacing)
     chords, beside = np.asarray(found[0]), np.asarray(found[1])
-    nearest = np.append(depths, np.inf)[beside].min(axis=1)
-    is_through = ~is_near & np.isfinite(chords[:, 0]) & (distances < nearest - tolerance_m)
+    nearest = view.depths_m[beside].min(axis=1)
+    is_through = ~is_near & np.isfinite(chords[:, 0]) & (distances < nearest - allowed)
     return int(is_near.sum()), int(is_through.sum()), len(points)
 
 

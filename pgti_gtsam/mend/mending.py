@@ -25,16 +25,16 @@ from pgti_gtsam.gate.batch import optimum
 from pgti_gtsam.gate.decision import metres
 from pgti_gtsam.gate.reference_map import ReferenceMap
 from pgti_gtsam.gate.ties import OFFSET
-from pgti_gtsam.mend.alignment import Cloud, align
+from pgti_gtsam.mend.alignment import Cloud, align, is_thin
 from pgti_gtsam.mend.clouds import Clouds, scans_of
 from pgti_gtsam.mend.records import Attempt, Mended, Wanted
 from pgti_gtsam.mend.submap import Submaps
 from pgti_gtsam.mend.verdicts import sensors_say, sigma_unit, tie
-from pgti_gtsam.mend.wanted import wanted_ties
+from pgti_gtsam.mend.wanted import asked_for, wanted_ties
 from pgti_gtsam.pose_graph import Radii, key_label
 from pgti_gtsam.track import track_of
 
-MOST_ROUNDS = 8
+MOST_ROUNDS = 20
 """Times that the map is audited anew, and other pairs of its untied places are tried."""
 
 MOST_CHECKS = 3
@@ -129,6 +129,7 @@ class _Mending:
     progress: Tell
     attempts: dict[tuple[int, int], Attempt] = field(default_factory=dict)
     slots: dict[int, tuple[int, int]] = field(default_factory=dict)
+    asked: set[tuple[int, int]] = field(default_factory=set)
     round: int = 0
 
     def tie_places(self) -> None:
@@ -137,7 +138,8 @@ class _Mending:
             self.round += 1
             self.progress(f"round {self.round}: auditing")
             diagnosis, reference = self._diagnosis(), self._reference()
-            wanted = wanted_ties(diagnosis, reference, self._is_known)
+            wanted = wanted_ties(diagnosis, reference, self.asked, self._is_known)
+            self.asked |= asked_for(diagnosis).keys()
             submaps, unit = self._submaps(reference), sigma_unit(self.graph, reference)
             found = [
                 self._matched(each, submaps, unit, f"round {self.round}: matching {k} of {len(wanted)}")
@@ -163,8 +165,10 @@ class _Mending:
 
         # align what both saw, and ask what the sensors say of it
         unit, ends = submaps.unit_m, (submaps.at(wanted.keyframes[0]), submaps.at(wanted.keyframes[1]))
-        first, second = (Cloud.of(submap, unit) for submap in ends)
-        found = align(first, second, wanted.pose, wanted.covariance)
+        found = None
+        if not any(map(is_thin, ends)):
+            first, second = (Cloud.of(submap, unit) for submap in ends)
+            found = align(first, second, wanted.pose, wanted.covariance)
         outcome, reason = sensors_say(wanted, found, unit)
         return Attempt(
             wanted=wanted,

@@ -19,11 +19,9 @@ from pgti_gtsam.factor_graphs import BETWEEN, between_factor
 from pgti_gtsam.gate.decision import metres
 from pgti_gtsam.gate.reference_map import ReferenceMap
 from pgti_gtsam.gate.ties import OFFSET, OFFSET_RAD, translation_of, variances_of
-from pgti_gtsam.mend.alignment import Alignment
+from pgti_gtsam.mend.alignment import FIT, Alignment, lengths
+from pgti_gtsam.mend.common_view import AGREES
 from pgti_gtsam.mend.records import Outcome, Wanted
-
-AGREES = 0.9
-"""Agreement of two views from which the sensors confirm a fit."""
 
 CONTRADICTS = 0.8
 """Agreement below which they refuse the fit: one point in five lies where the other keyframe saw free space."""
@@ -34,15 +32,12 @@ SEEN = 0.1
 RIVAL = 0.8
 """Share of points, in those of the best fit, that a fit elsewhere must see to be as good."""
 
-DEGENERATE = 0.004
-"""Stiffness below which a motion is free: small_gicp's own regularisation leaves 0.001 along a blank wall."""
+FREE = 1e-9
+"""Stiffness of motions that are free, but for rounding."""
 
 HELD = 2 * OFFSET
-"""Standard deviation of the prediction, in ρ, along a free motion up to which a fit is of use all the same."""
-
-FIT = 0.015
-"""Error of a fit across its surfaces, in ρ. It is one for all points, not one for each: what a moved chair or the drift
-within a submap puts aside does not average. Of the confirmed fits half err by less than 0.009."""
+"""Standard deviation of the prediction, in ρ, along a free motion up to which a fit is of use all the same where the
+audit asks for a tie. Elsewhere the map is tied already, and the gate takes every tie for one that holds all motions."""
 
 BEYOND = 0.999
 """Probability with which a true fit lies within the region that the drift leaves, widened by what a match errs."""
@@ -78,14 +73,14 @@ def sensors_say(wanted: Wanted, alignment: Alignment | None, unit_m: float) -> t
         return "undecided", through
 
     # whether the fit is the only one, and where the drift lets it be
-    if rival is not None and rival.agreement >= AGREES and rival.seen > RIVAL * view.seen:
+    if rival is not None and rival.weight > RIVAL * view.weight:
         return "undecided", f"A fit elsewhere is as good: {seen} here, {100 * rival.seen:.0f} % there."
     moved_m, is_beyond = _off(wanted, alignment, unit_m)
     if is_beyond:
         allowed = f"{metres(moved_m)} from where the drift model predicts it, give or take {metres(wanted.allowance_m)}"
         return "refused", f"The best fit lies {allowed}."
     free_m = free_allowance_m(wanted, alignment, unit_m)
-    if free_m > HELD * unit_m:
+    if free_m > (0.0 if wanted.place is None else HELD * unit_m):
         return "undecided", f"Blank walls: the fit may slide, and the drift allows {metres(free_m)} that way."
     return "confirmed", f"The views agree in {100 * view.agreement:.0f} % of what both must see; {seen}."
 
@@ -101,11 +96,11 @@ def free_allowance_m(wanted: Wanted, alignment: Alignment, unit_m: float) -> flo
         The free radius ρ, m.
     """
     squares, axes = np.linalg.eigh(alignment.stiffness)
-    free = axes[:, squares < DEGENERATE]
+    free = axes[:, squares < FREE]
     if not free.shape[1]:
         return 0.0
-    scale = _scale(len(squares), unit_m)
-    spread = free.T @ (wanted.covariance * np.outer(scale, scale)) @ free
+    scale = lengths(len(squares), unit_m)
+    spread = free.T @ (wanted.covariance / np.outer(scale, scale)) @ free
     return float(np.sqrt(np.linalg.eigvalsh(spread)[-1]) * unit_m)
 
 
@@ -130,8 +125,8 @@ def tie(wanted: Wanted, alignment: Alignment, unit_m: float, sigma_unit: float) 
         The caller's number for a standard deviation of 1: see `sigma_unit`.
     """
     squares, axes = np.linalg.eigh(alignment.stiffness)
-    roots = np.where(squares < DEGENERATE, 0.0, np.sqrt(np.maximum(squares, 0.0))) / (FIT * sigma_unit)
-    root = roots[:, None] * axes.T * _scale(len(squares), unit_m)
+    roots = np.sqrt(np.maximum(squares, 0.0)) / (FIT * sigma_unit)
+    root = roots[:, None] * axes.T / lengths(len(squares), unit_m)
     return between_factor(*wanted.keys, alignment.pose, gtsam.noiseModel.Gaussian.SqrtInformation(root, False))
 
 
@@ -164,9 +159,3 @@ def sigma_unit(graph: gtsam.NonlinearFactorGraph, reference: ReferenceMap) -> fl
                 squares[own if len(squares) == len(ties.variances[0]) else slice(0, 2)].mean() / granted[i, j]
             )
     return max(1.0, float(np.sqrt(np.median(ratios)))) if ratios else 1.0
-
-
-def _scale(dimension: int, unit_m: float) -> Array:
-    """The scale from metres and radians to ρ and radians, in GTSAM's order."""
-    metre = 1 / unit_m
-    return np.array([metre, metre, 1.0] if dimension == 3 else [1.0] * 3 + [metre] * 3)

@@ -1,11 +1,12 @@
-"""Ties that a map lacks: at untied places, and at overlaps tied so loosely that a match says more."""
+"""Ties that a map lacks: where the audit asks for them, until the drift allows no more than a match errs."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import KDTree
 
 from pgti_gtsam.diagnosis.records import Diagnosis, Kind
 from pgti_gtsam.gate.own_closures import own_closures
@@ -22,15 +23,33 @@ SPACED = 1.0
 """Least way between two ties, at one end or the other, as `places_on` has it: five keyframes or 5 ρ."""
 
 LOOSE = OFFSET
-"""Allowance of the drift, in ρ, from which a tie is wanted: what a match leaves uncertain itself."""
+"""Allowance of the drift, in ρ, from which one more tie is wanted: what a match errs itself."""
+
+UNASKED: tuple[Kind, ...] = ("different view", "incomplete fusion")
+"""Places where no tie is asked for."""
 
 Pairs = NDArray[np.int64]
+Known = Callable[[tuple[int, int], float], bool]
+
+
+def asked_for(diagnosis: Diagnosis) -> dict[tuple[int, int], Kind]:
+    """Overlaps of places where the audit asks for a tie, and the pairs of its proposals; graver kinds go before."""
+    found: dict[tuple[int, int], Kind] = {}
+    for place in diagnosis.places:
+        if place.kind not in UNASKED:
+            proposed = [] if place.proposal is None else [place.proposal.keyframes]
+            for i, j in [*place.edges.tolist(), *proposed]:
+                found.setdefault((i, j), place.kind)
+    return found
 
 
 def wanted_ties(
-    diagnosis: Diagnosis, reference: ReferenceMap, is_known: Callable[[tuple[int, int], float], bool]
+    diagnosis: Diagnosis, reference: ReferenceMap, asked_before: Collection[tuple[int, int]], is_known: Known
 ) -> list[Wanted]:
-    """Ties that a map lacks, at the audit's places first, among equals the surest predictions first.
+    """Ties that a map lacks, the surest predictions first.
+
+    Ties are wanted where the audit asks, and where the audit asked before, until the drift allows no more than a match
+    errs. Keyframes that the map ties as it came, directly or by explained overlaps, need none: a consistent map stays.
 
     Parameters
     ----------
@@ -38,63 +57,67 @@ def wanted_ties(
         Of the map.
     reference : ReferenceMap
         Of the same map.
+    asked_before : collection of (int, int)
+        Pairs of keyframes that the audit asked for before other ties came in.
     is_known : callable
         Whether a pair of keys was tried already, with no larger an allowance in m: another pair of the same place may
         see more.
     """
-    # overlaps of stretches far apart on the track, one for each neighbourhood
-    pose_graph, integrity = diagnosis.pose_graph, diagnosis.integrity
-    along = places_on(pose_graph, track_of(pose_graph))
-    overlaps = np.concatenate([integrity.inserted_edges, *_proposed(diagnosis)])
-    overlaps = overlaps[np.abs(np.diff(along[overlaps], axis=1)[:, 0]) > APART]
-    kinds = _kinds(diagnosis)
-    overlaps = overlaps[[kinds.get((i, j)) != "different view" for i, j in overlaps.tolist()]]
-    if not len(overlaps):
+    # one overlap for each neighbourhood: where the audit asks, and where it asked before
+    kinds, along = asked_for(diagnosis), places_on(diagnosis.pose_graph, track_of(diagnosis.pose_graph))
+    asked = _nearest(diagnosis, np.array(sorted(kinds), dtype=np.int64).reshape(-1, 2), along)
+    before = _nearest(diagnosis, _beside(diagnosis.integrity.inserted_edges, asked_before, along), along)
+    pairs = np.concatenate([asked, before])
+    if not len(pairs):
         return []
-    gaps = np.linalg.norm(np.diff(pose_graph.positions[overlaps], axis=1)[:, 0], axis=1)
-    order = np.argsort(gaps / pose_graph.radii[overlaps].sum(axis=1), kind="stable")
-    _, first = np.unique(neighbourhoods(overlaps, along).cell_of[order], return_index=True)
-    pairs = overlaps[order[np.sort(first)]]
 
-    # of those the loose ones, apart from each other
-    own = own_closures(reference.settled.model)
-    spreads = reference.settled.covariances(pairs) * own.drift_scale**2
+    # what the drift allows there
+    spreads = reference.settled.covariances(pairs) * own_closures(reference.settled.model).drift_scale ** 2
     allowances = reference.settled.model.allowances_m(spreads)
-    loose = np.isfinite(allowances) & (allowances > LOOSE * diagnosis.unit_m)
-    ends = [(int(i), int(j)) for i, j in pose_graph.keys[pairs].tolist()]
-    loose &= [not is_known(keys, allowed) for keys, allowed in zip(ends, allowances.tolist(), strict=True)]
-    pairs, spreads, allowances = pairs[loose], spreads[loose], allowances[loose]
-    apart = _spaced(along[pairs])
+    wanted = np.isfinite(allowances)
+    wanted &= (np.arange(len(pairs)) < len(asked)) | (allowances > LOOSE * diagnosis.unit_m)
+
+    # those that were not tried, apart from each other
+    ends = [(int(i), int(j)) for i, j in diagnosis.pose_graph.keys[pairs].tolist()]
+    wanted &= [not is_known(keys, allowed) for keys, allowed in zip(ends, allowances.tolist(), strict=True)]
+    chosen = np.flatnonzero(wanted)
+    chosen = chosen[_spaced(along[pairs[chosen]])]
     found = [
-        _wanted(reference, (i, j), kinds.get((i, j)), spreads[k], float(allowances[k]))
-        for k, (i, j) in enumerate(pairs.tolist())
-        if k in apart
+        _wanted(reference, (i, j), kinds.get((i, j)), spread, allowed)
+        for (i, j), spread, allowed in zip(
+            pairs[chosen].tolist(), spreads[chosen], allowances[chosen].tolist(), strict=True
+        )
     ]
-    return sorted(found, key=lambda each: (each.place is None, each.allowance_m))
+    return sorted(found, key=lambda each: each.allowance_m)
 
 
-def _proposed(diagnosis: Diagnosis) -> list[Pairs]:
-    """The pairs that the audit proposes."""
-    return [np.array([place.proposal.keyframes]) for place in diagnosis.places if place.proposal is not None]
+def _beside(overlaps: Pairs, pairs: Collection[tuple[int, int]], along: NDArray[np.float64]) -> Pairs:
+    """Overlaps that lie beside some pair on both stretches."""
+    if not pairs or not len(overlaps):
+        return overlaps[:0]
+    distances, _ = KDTree(along[np.array(list(pairs))]).query(along[overlaps], p=np.inf)
+    return overlaps[distances <= SPACED]
 
 
-def _kinds(diagnosis: Diagnosis) -> dict[tuple[int, int], Kind]:
-    """The place of an overlap, by its keyframes; graver places go before."""
-    found: dict[tuple[int, int], Kind] = {}
-    for place in diagnosis.places:
-        if place.kind != "incomplete fusion":
-            for i, j in place.edges.tolist():
-                found.setdefault((i, j), place.kind)
-    return found
+def _nearest(diagnosis: Diagnosis, overlaps: Pairs, along: NDArray[np.float64]) -> Pairs:
+    """Of overlaps far apart on the track the one of each neighbourhood whose spheres meet most, those first."""
+    overlaps = overlaps[np.abs(np.diff(along[overlaps], axis=1)[:, 0]) > APART]
+    if not len(overlaps):
+        return overlaps
+    pose_graph = diagnosis.pose_graph
+    gaps = np.linalg.norm(np.diff(pose_graph.positions[overlaps], axis=1)[:, 0], axis=1)
+    overlaps = overlaps[np.argsort(gaps / pose_graph.radii[overlaps].sum(axis=1), kind="stable")]
+    _, first = np.unique(neighbourhoods(overlaps, along).cell_of, return_index=True)
+    return overlaps[np.sort(first)]
 
 
-def _spaced(ends: NDArray[np.float64]) -> set[int]:
-    """Pairs, given best first by their places on the track, apart from all better pairs."""
+def _spaced(ends: NDArray[np.float64]) -> list[int]:
+    """Pairs, given best first by their places on the track, that lie apart from all better ones."""
     kept: list[int] = []
     for k, pair in enumerate(ends):
         if not kept or (np.abs(ends[kept] - pair).max(axis=1) > SPACED).all():
             kept.append(k)
-    return set(kept)
+    return kept
 
 
 def _wanted(

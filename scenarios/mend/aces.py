@@ -52,6 +52,7 @@ def row(path: Path) -> dict[str, Any]:
     fits = _brute_force(dataset)
     robust = _gnc(dataset, fits)
     best = _optimum(whole)
+    intact = pgti.mend(whole.graph, best, pgti.scans_of(whole.scans), radii=whole.radii, closures=whole.closures)
     return {
         "n_keyframes": dataset.values.size(),
         "n_relations": len(relations),
@@ -61,6 +62,8 @@ def row(path: Path) -> dict[str, Any]:
         "confirmed": len(mended.of("confirmed")),
         "false_in": sum(_missed(best, attempt) > FALSE_M for attempt in mended.of("confirmed")),
         "n_brute_force": len(fits),
+        "verdict_intact": intact.before.verdict,
+        "confirmed_intact": len(intact.of("confirmed")),
         "seconds": seconds,
         "seconds_gnc": time.process_time() - started,
         "errors": {
@@ -68,6 +71,7 @@ def row(path: Path) -> dict[str, Any]:
             "mended": _errors(relations, mended.values),
             "GNC with brute-force ICP": _errors(relations, robust),
             "optimum with the relations themselves": _errors(relations, best),
+            "the same, mended": _errors(relations, intact.values),
         },
     }
 

@@ -23,7 +23,8 @@ def lines(found: Mapping[str, Sequence[Row]]) -> list[str]:
         for row in found["aces"]:
             told += [
                 f"aces: {row['n_keyframes']} keyframes, {row['confirmed']} ties in {row['seconds']:.0f} s; brute force "
-                f"{row['n_brute_force']} fits, with GNC {row['seconds_gnc']:.0f} s",
+                f"{row['n_brute_force']} fits, with GNC {row['seconds_gnc']:.0f} s; false ties in: {row['false_in']}",
+                f"With the relations: {row['verdict_intact']}, and {row['confirmed_intact']} ties in",
                 "",
             ]
             errors = [
