@@ -16,6 +16,7 @@ FLOORS = [
     "plain_text",
     "checks",
     "outputs",
+    "encode",
     "factor_graphs",
     "sightings",
     "pair_codes",

@@ -17,7 +17,7 @@ from pgti_gtsam import report
 from pgti_gtsam.report.document import audit_document
 from pgti_gtsam.report.terminal import print_summary
 
-SCHEMA = json.loads((Path(report.__file__).parent / "audit.schema.json").read_text(encoding="utf-8"))
+SCHEMA = json.loads((Path(report.__file__).parent / "schemas" / "audit.schema.json").read_text(encoding="utf-8"))
 HOSTILE = "[bold]<script>alert(1)</script>[/nothing]"
 
 

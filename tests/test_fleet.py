@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from browser import dom_of_page, needs_chromium, rows_of
+from json_schemas import check
 from streets import RADIUS, block, driven
 
 from pgti_gtsam import datasets, fleet
@@ -64,7 +65,9 @@ def test_every_map_has_its_row_and_nothing_is_done_twice(run, maps, tmp_path):
     assert verdicts["corrupt.g2o"] == "failed"
     assert "4 maps: " in said
     assert "notes.md" in said
-    ranked = [row["map"] for row in json.loads((out / "maps.json").read_text())["maps"]]
+    ranking = json.loads((out / "maps.json").read_text())
+    check("fleet", ranking)
+    ranked = [row["map"] for row in ranking["maps"]]
     assert Path(ranked[0]).name == "false.g2o"
     assert Path(ranked[-1]).name == "corrupt.g2o"
     with (out / "maps.csv").open(encoding="utf-8") as file:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json as json_text
 from pathlib import Path
 from typing import Annotated
 
@@ -22,6 +21,7 @@ from pgti_gtsam.cli.options import (
 )
 from pgti_gtsam.cli.progress import stages
 from pgti_gtsam.diffusion import study
+from pgti_gtsam.report.document import write_json
 from pgti_gtsam.report.heat import heat_document, write_heat_page
 from pgti_gtsam.report.terminal import print_heat
 
@@ -48,7 +48,7 @@ def diffusion(
         document = heat_document(found, dataset.title)
         with outputs.together():
             if json is not None:
-                outputs.write_text(json, json_text.dumps(document, indent=1, allow_nan=False) + "\n")
+                write_json(document, json)
             if html is not None:
                 write_heat_page(document, html)
     console = terminal()

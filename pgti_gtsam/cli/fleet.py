@@ -13,13 +13,13 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
-from pgti_gtsam import fleet, outputs
+from pgti_gtsam import encode, fleet, outputs
 from pgti_gtsam.cli.options import Terminal
 from pgti_gtsam.cli.progress import counted
 from pgti_gtsam.errors import FileFormatError, InvalidOptionError
 from pgti_gtsam.fleet.comparison import GRAVITY
 from pgti_gtsam.plain_text import visible
-from pgti_gtsam.report.document import SCHEMA, SCHEMA_VERSION, write_json
+from pgti_gtsam.report.document import write_json
 from pgti_gtsam.report.fleet import fleet_document, write_csv, write_fleet_page
 from pgti_gtsam.report.web import require_schema
 
@@ -119,8 +119,8 @@ def compare(
     found = fleet.compare(_document(old), _document(new))
     _print_comparison(found, Terminal(highlight=False))
     if json is not None:
-        record = {name: getattr(found, name) for name in (*found.__slots__, "is_worse")}
-        write_json(record, json)
+        changes = {name: getattr(found, name) for name in (*found.__slots__, "is_worse")}
+        write_json(encode.heading("comparison") | changes, json)
     if fail_on_worse and found.is_worse:
         raise typer.Exit(1)
 
@@ -194,7 +194,7 @@ def _document(path: Path) -> Mapping[str, Any]:
         document = json_text.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise FileFormatError(path, f"expected the JSON of an audit: {error}") from error
-    require_schema(document if isinstance(document, dict) else {}, SCHEMA, SCHEMA_VERSION)
+    require_schema(document if isinstance(document, dict) else {}, "audit")
     found: Mapping[str, Any] = document
     return found
 

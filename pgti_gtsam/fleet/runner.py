@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from pgti_gtsam import encode
 from pgti_gtsam.errors import InvalidOptionError, MissingDependencyError
 
 Row = dict[str, Any]
@@ -63,7 +64,7 @@ def run(
             for count, (key, found) in enumerate(_computed(wanted, missing, row, scheduler, workers, options), start=1):
                 done[key] = found
                 _LOG.info("%s %s", key, f"failed: {found['failed']}" if "failed" in found else "done")
-                file.write(json.dumps(found, ensure_ascii=False) + "\n")
+                file.write(encode.line(found))
                 file.flush()
                 progress(len(wanted) - len(missing) + count, len(wanted))
     return [done[key] for key in wanted]

@@ -15,12 +15,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pgti_gtsam import encode
 from pgti_gtsam.errors import FileFormatError
 from pgti_gtsam.pose_graph import PoseGraph
 from pgti_gtsam.replay.moment import Measure, Moment
-from pgti_gtsam.version import __version__
 
-SCHEMA, SCHEMA_VERSION = "pgti-gtsam/replay", 1
 _ARRAYS = ("keyframe_scores", "positions")
 
 
@@ -39,9 +38,7 @@ def heading(pose_graphs: Iterable[PoseGraph], sizes: Sequence[int], measure: Mea
         for array in (each.keys, each.positions, each.radii, each.edges, each.edge_sources):
             digest.update(np.ascontiguousarray(array).tobytes())
     return {
-        "schema": SCHEMA,
-        "schema_version": SCHEMA_VERSION,
-        "pgti_gtsam_version": __version__,
+        **encode.heading("replay"),
         "digest": digest.hexdigest(),
         "measure": asdict(measure),
     }
@@ -98,7 +95,7 @@ def appended(path: Path | None, first: Mapping[str, Any]) -> Iterator[Callable[[
         return
     with path.open("a", encoding="utf-8") as file:
         if file.tell() == 0:
-            file.write(json.dumps(first) + "\n")
+            file.write(encode.line(first))
 
         def add(moment: Moment) -> None:
             file.write(line(moment))
@@ -108,10 +105,10 @@ def appended(path: Path | None, first: Mapping[str, Any]) -> Iterator[Callable[[
 
 
 def line(moment: Moment) -> str:
-    """A moment as a line of JSON; an infinite score is the text "infinite"."""
+    """A moment as a line of JSON."""
     row = {each.name: getattr(moment, each.name) for each in fields(Moment) if each.name not in _ARRAYS}
-    row = {name: "infinite" if value == np.inf else value for name, value in row.items()}
-    return json.dumps(row | {name: packed(getattr(moment, name)) for name in _ARRAYS}, allow_nan=False) + "\n"
+    row = {name: encode.number(value) for name, value in row.items()}
+    return encode.line(row | {name: packed(getattr(moment, name)) for name in _ARRAYS})
 
 
 def packed(array: NDArray[np.float32]) -> str:
@@ -120,6 +117,9 @@ def packed(array: NDArray[np.float32]) -> str:
 
 
 def _moment(row: Mapping[str, Any]) -> Moment:
-    values = {name: np.inf if value == "infinite" else value for name, value in row.items()}
+    numbers = {name: value for name, value in row.items() if name not in _ARRAYS}
+    values: dict[str, Any] = {
+        name: value if isinstance(value, int) else encode.decoded(value) for name, value in numbers.items()
+    }
     scores, positions = (np.frombuffer(base64.b64decode(row[name]), dtype="<f4").copy() for name in _ARRAYS)
     return Moment(**values | {"keyframe_scores": scores, "positions": positions.reshape(-1, 3)})

@@ -143,8 +143,8 @@ def _change(score: Mapping[str, Any] | None) -> str:
     return f"{'–':^11}" if score is None else f"{_share(score['before'])} → {_share(score['after'])}"
 
 
-def _share(value: float | str) -> str:
-    return f"{value:.2f}" if isinstance(value, float) else str(value)
+def _share(value: float | str | None) -> str:
+    return "–" if value is None else f"{value:.2f}" if isinstance(value, float) else value
 
 
 def _known(record: Mapping[str, Any]) -> Text:

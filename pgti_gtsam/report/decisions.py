@@ -1,26 +1,21 @@
 """Verdicts on loop closures as JSON-ready records: a record for each, from which the terminal lines are drawn.
 
-A number that JSON does not have is the text "infinite" or "undefined".
+Numbers are written as `encode` says.
 """
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from pathlib import Path
 from typing import Any
 
-from pgti_gtsam import outputs
+from pgti_gtsam import encode, outputs
 from pgti_gtsam.adapter.values import Keyframes
 from pgti_gtsam.gate import Change, ClosureDecision
 from pgti_gtsam.pose_graph import key_label
 from pgti_gtsam.report.digits import in_stable_digits
-from pgti_gtsam.version import __version__
-
-SCHEMA = "pgti-gtsam/closures"
-SCHEMA_VERSION = 3
 
 Record = dict[str, Any]
 
@@ -72,10 +67,14 @@ def evidence(decision: ClosureDecision) -> Record:
     return {
         "verdict": decision.verdict,
         "accepted": decision.accepted,
-        "probability": _number(decision.probability),
-        "log_odds": _number(decision.log_odds),
+        "probability": encode.number(decision.probability),
+        "log_odds": encode.number(decision.log_odds),
         "terms": {
-            name: {"value": _number(term.value), "log_odds": _number(term.log_odds), "sentence": term.sentence}
+            name: {
+                "value": encode.number(term.value),
+                "log_odds": encode.number(term.log_odds),
+                "sentence": term.sentence,
+            }
             for name, term in decision.terms.items()
         },
         "reasons": list(decision.reasons),
@@ -88,11 +87,8 @@ def evidence(decision: ClosureDecision) -> Record:
 def least_probable_first(records: Iterable[Record]) -> list[Record]:
     """Records by rising probability; records without a probability last."""
 
-    words = {"undefined": math.inf, "infinite": math.inf, "-infinite": -math.inf}
-
     def odds(record: Record) -> float:
-        told = record["log_odds"]
-        return words[told] if isinstance(told, str) else float(told)
+        return math.inf if record["log_odds"] is None else encode.decoded(record["log_odds"])
 
     return sorted(records, key=odds)
 
@@ -105,8 +101,7 @@ def write_json_lines(records: Iterable[Mapping[str, Any]], path: Path) -> None:
     records : iterable of mapping
     path : Path
     """
-    lines = [json.dumps(record, allow_nan=False, ensure_ascii=False) + "\n" for record in records]
-    outputs.write_text(path, "".join(lines))
+    outputs.write_text(path, "".join(map(encode.line, records)))
 
 
 def closures_document(
@@ -140,9 +135,7 @@ def closures_document(
     """
     index = keyframes.index
     return {
-        "schema": SCHEMA,
-        "schema_version": SCHEMA_VERSION,
-        "pgti_gtsam_version": __version__,
+        **encode.heading("closures"),
         "input": {"name": name, "format": file_format, "notes": list(notes)},
         "options": dict(options),
         "closures": [
@@ -161,11 +154,4 @@ def closures_document(
 def _change(change: Change | None) -> Record | None:
     if change is None:
         return None
-    return {"before": _number(change.before), "after": _number(change.after), "rise": _number(change.rise)}
-
-
-def _number(value: float) -> float | str:
-    """A number as JSON has numbers."""
-    if math.isfinite(value):
-        return value
-    return "undefined" if math.isnan(value) else ("infinite" if value > 0 else "-infinite")
+    return {name: encode.number(getattr(change, name)) for name in ("before", "after", "rise")}

@@ -1,13 +1,11 @@
 """The audit of a map as one JSON document, from which the terminal summary, page and pictures are drawn.
 
-Its fields are described in `audit.schema.json` beside this module. A score may be the text "infinite",
-since JSON has no such number.
+Its fields are described in `schemas/audit.schema.json` beside this module, its numbers in `encode`.
 """
 
 from __future__ import annotations
 
 import base64
-import json
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
@@ -17,17 +15,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pgti_gtsam import outputs
+from pgti_gtsam import encode, outputs
 from pgti_gtsam.diagnosis.records import ClosureFinding, Diagnosis, Place, Proposal
 from pgti_gtsam.diagnosis.sweep import Swept, fragile
 from pgti_gtsam.integrity import BetaSplit, Distortion
 from pgti_gtsam.optimality import GraphOptimality
 from pgti_gtsam.pose_graph import key_label
 from pgti_gtsam.report.digits import in_stable_digits, packable
-from pgti_gtsam.version import __version__
-
-SCHEMA = "pgti-gtsam/audit"
-SCHEMA_VERSION = 2
 
 MAX_SIGNATURES = 5000
 """Keyframes whose two signatures are kept, those with the largest ζ: 5000 take about 5 MB."""
@@ -62,9 +56,7 @@ def audit_document(
     pose_graph, integrity = diagnosis.pose_graph, diagnosis.integrity
     adaptation = pose_graph.adaptation
     return {
-        "schema": SCHEMA,
-        "schema_version": SCHEMA_VERSION,
-        "pgti_gtsam_version": __version__,
+        **encode.heading("audit"),
         "input": {"name": name, "format": file_format, "notes": list(notes)},
         "options": dict(options or {}),
         "adaptation": None if adaptation is None else asdict(adaptation),
@@ -106,7 +98,7 @@ def sweep_rows(swept: Sequence[Swept]) -> Document:
                 "median_radius_m": each.diagnosis.unit_m,
                 "verdict": each.diagnosis.verdict,
                 "places": dict(Counter(place.kind for place in each.diagnosis.places)),
-                "score": _number(each.diagnosis.integrity.score),
+                "score": encode.number(each.diagnosis.integrity.score),
             }
             for each in swept
         ],
@@ -121,7 +113,7 @@ def write_json(document: Mapping[str, Any], path: Path) -> None:
     document : mapping
     path : Path
     """
-    outputs.write_text(path, json.dumps(document, allow_nan=False, ensure_ascii=False) + "\n")
+    outputs.write_text(path, encode.line(document))
 
 
 def _estimate(diagnosis: Diagnosis) -> Document | None:
@@ -159,8 +151,8 @@ def _summary(diagnosis: Diagnosis) -> Document:
 
 def _scores(distortion: Distortion) -> Document:
     return {
-        "score": _number(distortion.score),
-        "mean_score": _number(distortion.mean_score),
+        "score": encode.number(distortion.score),
+        "mean_score": encode.number(distortion.mean_score),
         "stable_score": distortion.stable_score,
         "worst": distortion.worst,
         "split": _split(distortion.split()),
@@ -170,10 +162,10 @@ def _scores(distortion: Distortion) -> Document:
 def _split(split: BetaSplit) -> Document:
     return {
         "beta": split.beta,
-        "local": _number(split.local),
-        "global": _number(split.global_),
-        "max_local": _number(split.max_local),
-        "max_global": _number(split.max_global),
+        "local": encode.number(split.local),
+        "global": encode.number(split.global_),
+        "max_local": encode.number(split.max_local),
+        "max_global": encode.number(split.max_global),
     }
 
 
@@ -189,7 +181,7 @@ def _place(rank: int, place: Place, diagnosis: Diagnosis) -> Document:
         "sentence": place.sentence,
         "remedy": place.remedy,
         "scale": place.scale,
-        "score": _number(place.score),
+        "score": encode.number(place.score),
         "stable_score": place.stable_score,
         "worst": place.worst,
         "label": key_label(int(pose_graph.keys[place.worst])),
@@ -200,9 +192,9 @@ def _place(rank: int, place: Place, diagnosis: Diagnosis) -> Document:
         "keyframes": place.revisit.keyframes.tolist(),
         "edges": place.edges.tolist(),
         "probability": place.probability,
-        "allowance_m": _number(place.allowance_m),
+        "allowance_m": encode.number(place.allowance_m),
         "reach_m": place.reach_m,
-        "gain": _number(place.gain),
+        "gain": encode.number(place.gain),
         "proposal": None if place.proposal is None else _proposal(place.proposal),
         "closure": None if place.closure is None else list(place.closure),
     }
@@ -223,16 +215,15 @@ def _proposal(proposal: Proposal) -> Document:
 
 
 def _closure(rank: int, closure: ClosureFinding) -> Document:
-    known = not np.isnan(closure.log_odds)
     return {
         "rank": rank,
         "slot": closure.slot,
         "keyframes": list(closure.keyframes),
-        "probability": closure.probability if known else None,
-        "log_odds": closure.log_odds if known else None,
+        "probability": encode.number(closure.probability),
+        "log_odds": encode.number(closure.log_odds),
         "missed_m": closure.missed_m,
         "missed_deg": closure.missed_deg,
-        "allowed_m": _number(closure.allowed_m),
+        "allowed_m": encode.number(closure.allowed_m),
         "is_false": closure.is_false,
         "sentence": closure.sentence,
     }
@@ -256,9 +247,5 @@ def _packed(array: NDArray[np.float64]) -> Document:
     return {"dtype": "float32", "shape": list(data.shape), "base64": base64.b64encode(data.tobytes()).decode()}
 
 
-def _number(value: float) -> float | str:
-    return "infinite" if np.isinf(value) else value
-
-
-def _numbers(values: NDArray[np.float64]) -> list[float | str]:
-    return [_number(value) for value in values.tolist()]
+def _numbers(values: NDArray[np.float64]) -> list[float | str | None]:
+    return [encode.number(value) for value in values.tolist()]

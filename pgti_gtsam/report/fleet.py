@@ -8,12 +8,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from pgti_gtsam import outputs
+from pgti_gtsam import encode, outputs
 from pgti_gtsam.fleet.comparison import GRAVITY
 from pgti_gtsam.report import web
-from pgti_gtsam.version import __version__
-
-SCHEMA, SCHEMA_VERSION = "pgti-gtsam/fleet", 1
 
 COLUMNS = (
     "map",
@@ -47,9 +44,7 @@ def fleet_document(
     notes : sequence of str
     """
     return {
-        "schema": SCHEMA,
-        "schema_version": SCHEMA_VERSION,
-        "pgti_gtsam_version": __version__,
+        **encode.heading("fleet"),
         "input": {"name": name, "format": f"{len(rows)} maps", "notes": list(notes)},
         "options": dict(options),
         "maps": sorted(rows, key=gravity),
@@ -89,7 +84,7 @@ def write_fleet_page(document: Mapping[str, Any], path: Path) -> None:
         As `fleet_document` makes it.
     path : Path
     """
-    web.require_schema(document, SCHEMA, SCHEMA_VERSION)
+    web.require_schema(document, "fleet")
     page = web.assembled(
         document,
         what="audits of many maps",

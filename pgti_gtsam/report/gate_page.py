@@ -8,7 +8,6 @@ from typing import Any
 
 from pgti_gtsam import outputs
 from pgti_gtsam.report import web
-from pgti_gtsam.report.decisions import SCHEMA, SCHEMA_VERSION
 
 _SCRIPTS = (
     "text.js",
@@ -42,6 +41,6 @@ def write_gate_page(document: Mapping[str, Any], path: Path) -> None:
     InvalidValueError
         The document has another schema, or holds a number that JSON cannot carry.
     """
-    web.require_schema(document, SCHEMA, SCHEMA_VERSION)
+    web.require_schema(document, "closures")
     page = web.assembled(document, what="loop closures", body="gate.html", first="closures", scripts=_SCRIPTS)
     outputs.write_text(path, page)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -11,7 +10,7 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
-from pgti_gtsam import outputs
+from pgti_gtsam import encode, outputs
 from pgti_gtsam.diffusion import Study
 from pgti_gtsam.report.digits import in_stable_digits
 
@@ -32,6 +31,7 @@ def heat_document(study: Study, name: str) -> dict[str, Any]:
     eq11 = study.equation_11
     body = study.body
     return {
+        **encode.heading("diffusion"),
         "name": name,
         "group": body.group,
         "n_keyframes": len(body.keys),
@@ -55,16 +55,16 @@ def heat_document(study: Study, name: str) -> dict[str, Any]:
         "proxy_largest_difference": _largest(study.proxy_body.differences),
         "proxy_worst_keyframe": body.labels[study.proxy_body.worst],
         "spreading_exponents": {
-            "body": _number(study.spread_body.exponent()),
-            "spatial": _number(study.spread_spatial.exponent()),
-            "scalar": _number(study.spread_scalar.exponent()),
+            "body": encode.number(study.spread_body.exponent()),
+            "spatial": encode.number(study.spread_spatial.exponent()),
+            "scalar": encode.number(study.spread_scalar.exponent()),
         },
         "optimisers": [
             {
                 "method": run.method,
                 "energies": run.energies.tolist(),
-                "first_step_is_flow_at": "the end" if math.isinf(run.time) else _number(run.time),
-                "first_step_missed_by": _number(run.miss),
+                "first_step_is_flow_at": encode.number(run.time),
+                "first_step_missed_by": encode.number(run.miss),
             }
             for run in study.optimisers
         ],
@@ -91,10 +91,6 @@ _MIDDLE = 20
 
 def _largest(found: Any) -> float | None:
     return float(np.max(found)) if len(found) else None
-
-
-def _number(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None
 
 
 def write_heat_page(document: Mapping[str, Any], path: Path) -> None:

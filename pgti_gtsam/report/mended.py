@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from pgti_gtsam import outputs
+from pgti_gtsam import encode, outputs
 from pgti_gtsam.adapter.values import read_keyframes
 from pgti_gtsam.diagnosis import Diagnosis
 from pgti_gtsam.factor_graphs import keys_of, slots_of
@@ -23,9 +23,7 @@ from pgti_gtsam.pose_graph import EdgeSource, key_label
 from pgti_gtsam.report import web
 from pgti_gtsam.report.digits import in_stable_digits
 from pgti_gtsam.report.document import Document
-from pgti_gtsam.version import __version__
 
-SCHEMA, SCHEMA_VERSION = "pgti-gtsam/mend", 1
 _SCRIPTS = ("text.js", "errors.js", "plots.js", "mend_plan.js", "mend.js")
 
 DRAWN = 400
@@ -64,9 +62,7 @@ def mended_document(
     attempts = sorted(mended.attempts, key=lambda each: (order[each.outcome], _is_extra(each), sorted(each.keys)))
     vertices, edges = g2o_lines(attempts, mended.values, names)
     return {
-        "schema": SCHEMA,
-        "schema_version": SCHEMA_VERSION,
-        "pgti_gtsam_version": __version__,
+        **encode.heading("mend"),
         "input": {"name": name, "format": file_format, "notes": list(notes)},
         "options": dict(options or {}),
         "n_rounds": mended.n_rounds,
@@ -80,7 +76,7 @@ def mended_document(
                 "slot": slot,
                 "keyframes": [rows[key] for key in keys_of(graph.at(slot)) if key in rows],
                 "verdict": decision.verdict,
-                "probability": None if np.isnan(decision.log_odds) else decision.probability,
+                "probability": encode.number(decision.probability),
                 "reason": " ".join(decision.reasons[:1]),
             }
             for slot, decision in sorted(mended.out.items(), key=lambda item: np.nan_to_num(item[1].log_odds, nan=0.0))
@@ -99,7 +95,7 @@ def write_mended_page(document: Mapping[str, Any], path: Path | str) -> None:
         As `mended_document` makes it.
     path : Path or str
     """
-    web.require_schema(document, SCHEMA, SCHEMA_VERSION)
+    web.require_schema(document, "mend")
     page = web.assembled(document, what="map mended", body="mend.html", first="attempts", scripts=_SCRIPTS)
     outputs.write_text(path, page)
 
@@ -111,8 +107,8 @@ def _side(diagnosis: Diagnosis, values: Any) -> Document:
         "places": dict(Counter(place.kind for place in diagnosis.places)),
         "n_collisions": len(integrity.collision_edges),
         "n_closures": len(diagnosis.closures),
-        "score": "infinite" if np.isinf(integrity.score) else integrity.score,
-        "collision_score": "infinite" if np.isinf(integrity.collisions.score) else integrity.collisions.score,
+        "score": encode.number(integrity.score),
+        "collision_score": encode.number(integrity.collisions.score),
         "position": np.round(diagnosis.pose_graph.positions, 3).tolist(),
         "pose": [planar(keyframes.pose(key)) for key in diagnosis.pose_graph.keys.tolist()],
         "stretches": [
@@ -149,7 +145,7 @@ def _attempt(attempt: Attempt, rows: Mapping[int, int]) -> Document:
         "matched": None if fit is None else fit.matched,
         "residual_m": None if fit is None else fit.residual_m,
         "stiffness": None if fit is None else np.linalg.eigvalsh(fit.stiffness).tolist(),
-        "probability": None if attempt.decision is None else _known(attempt.decision.probability),
+        "probability": None if attempt.decision is None else encode.number(attempt.decision.probability),
         "clouds": None if attempt.submaps is None else [_packed(submap.view) for submap in attempt.submaps],
     }
 
@@ -157,10 +153,6 @@ def _attempt(attempt: Attempt, rows: Mapping[int, int]) -> Document:
 def _is_extra(attempt: Attempt) -> bool:
     """Whether a tie belongs to none of the audit's places."""
     return attempt.wanted is not None and attempt.wanted.place is None
-
-
-def _known(probability: float) -> float | None:
-    return None if np.isnan(probability) else probability
 
 
 def _packed(points: Any) -> str:

@@ -10,15 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pgti_gtsam import outputs
+from pgti_gtsam import encode, outputs
 from pgti_gtsam.replay import METRICS, Replay
 from pgti_gtsam.report import web
 from pgti_gtsam.report.digits import in_stable_digits
 from pgti_gtsam.report.document import Document
 from pgti_gtsam.support_graph import support_graph
-from pgti_gtsam.version import __version__
 
-SCHEMA, SCHEMA_VERSION = "pgti-gtsam/replay-page", 1
 _SCRIPTS = ("text.js", "errors.js", "plots.js", "replay.js")
 _COUNTS = ("n_keyframes", "n_edges", "n_inserted", "n_collisions", "n_new", "worst")
 _LEVELS = 254
@@ -46,9 +44,7 @@ def replay_document(replay: Replay, *, name: str, file_format: str, notes: Seque
     levels = [_levels(moment.keyframe_scores, top) for moment, top in zip(replay.moments, tops, strict=True)]
     support = support_graph(pose_graph) if still else None
     return {
-        "schema": SCHEMA,
-        "schema_version": SCHEMA_VERSION,
-        "pgti_gtsam_version": __version__,
+        **encode.heading("replay-page", 1),
         "input": {"name": name, "format": file_format, "notes": list(notes)},
         "keyframes": {"label": pose_graph.labels, "position": np.round(pose_graph.positions, 4).tolist()},
         "edges": {
@@ -56,7 +52,7 @@ def replay_document(replay: Replay, *, name: str, file_format: str, notes: Seque
             "inserted": [] if support is None else support.inserted_edges.tolist(),
         },
         "moments": {
-            **{each: [_number(value) for value in replay.curve(each).tolist()] for each in METRICS},
+            **{each: [encode.number(value) for value in replay.curve(each).tolist()] for each in METRICS},
             **{each: replay.curve(each).astype(int).tolist() for each in _COUNTS},
         },
         "lags": [_lag(replay, each) for each in METRICS],
@@ -91,17 +87,12 @@ def _levels(scores: NDArray[np.float32], top: float) -> NDArray[np.uint8]:
 
 def _lag(replay: Replay, name: str) -> Document:
     found = replay.lags()[name]
-    known = not np.isnan(found.correlation)
     return {
         "metric": METRICS[name],
-        "lag": found.lag if known else None,
-        "correlation": found.correlation if known else None,
-        "at_zero": found.at_zero if known else None,
+        "lag": None if np.isnan(found.correlation) else found.lag,
+        "correlation": encode.number(found.correlation),
+        "at_zero": encode.number(found.at_zero),
     }
-
-
-def _number(value: float) -> float | str:
-    return "infinite" if np.isinf(value) else value
 
 
 def _packed(array: NDArray[Any]) -> str:

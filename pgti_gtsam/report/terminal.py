@@ -260,9 +260,10 @@ def _first_step(run: Mapping[str, Any]) -> tuple[str, str]:
     if not run["energies"]:
         return "none", "the optimiser found the graph singular"
     at = run["first_step_is_flow_at"]
-    time = at if isinstance(at, str) else f"t = {_short(at)}"
+    time = "the end" if at == "infinite" else f"t = {_short(at)}"
     return time, f"where its first step is, missed by {_short(run['first_step_missed_by'])}"
 
 
 def _short(value: float | None) -> str:
-    return "–" if value is None else f"{value:.3g}"
+    """A number to three digits; below a thousand millionths a number is rounding."""
+    return "–" if value is None else "< 1e-9" if 0 < abs(value) < 1e-9 else f"{value:.3g}"

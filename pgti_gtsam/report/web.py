@@ -18,6 +18,7 @@ from typing import Any
 
 from plotly.offline import get_plotlyjs
 
+from pgti_gtsam import encode
 from pgti_gtsam.errors import InvalidValueError
 
 # Inside <script> only "<" could end the block; the others keep the data inert wherever it is pasted.
@@ -59,20 +60,22 @@ def assembled(document: Mapping[str, Any], *, what: str, body: str, first: str, 
     )
 
 
-def require_schema(document: Mapping[str, Any], schema: str, version: int) -> None:
-    """Raise InvalidValueError unless a document is of the schema and version that this package draws.
+def require_schema(document: Mapping[str, Any], schema: str) -> None:
+    """Raise InvalidValueError unless a document is of the schema that this package writes.
 
     Parameters
     ----------
     document : mapping
     schema : str
-    version : int
+        A key of `encode.VERSIONS`.
     """
-    found = document.get("schema"), document.get("schema_version")
-    if found != (schema, version):
+    expected = encode.heading(schema)
+    names = ("schema", "schema_version")
+    wanted, found = ([each.get(name) for name in names] for each in (expected, document))
+    if found != wanted:
         raise InvalidValueError(
-            f'expected "schema": "{schema}", "schema_version": {version}, found {found[0]!r}, {found[1]!r}: '
-            "write the document again with this version of pgti-gtsam"
+            f'expected "schema": "{wanted[0]}", "schema_version": {wanted[1]}, found {found[0]!r}, {found[1]!r}: '
+            "write the document again with this version of the package"
         )
 
 

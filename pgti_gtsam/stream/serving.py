@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable
 from typing import Protocol
 
+from pgti_gtsam import encode
 from pgti_gtsam.stream.journal import Journal
 from pgti_gtsam.stream.session import Answer, Session
 
@@ -56,7 +56,7 @@ def tell(answers: Iterable[Answer], sink: Sink) -> None:
     answers : iterable of Answer
     sink : Sink
     """
-    text = "".join(json.dumps(answer, allow_nan=False, ensure_ascii=False) + "\n" for answer in answers)
+    text = "".join(encode.line(answer) for answer in answers)
     if text:
         sink.write(text.encode())
         sink.flush()
