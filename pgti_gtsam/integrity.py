@@ -336,8 +336,10 @@ def stable_scores(
     comes from a few √t hops around, so parts of the map farther away change σ_i by less than the Gaussian tail of
     that walk: a defect keeps its score however the other end of the map is extended.
     The score answers the open question of the paper's section 7, with an exception: an end of the track reflects heat,
-    and where a map grows at an end within some sixty keyframes of the defect, σ_i moves once, by a third or so, and
-    stays.
+    and where a map grows at an end within reach of the defect, σ_i moves once, by a third or so, and stays. The reach
+    is some sixty keyframes along bare odometry, and √(k (k + 1) (2k + 1) / 6) times as many where every keyframe is
+    tied to the next k. (The ratio of resistances between the ends of an inserted edge keeps to a hundredth at any
+    end, as a way that ends carries no current, but is no keyframe's score: `scenarios/paper/growth.py` measures both.)
 
     Parameters
     ----------

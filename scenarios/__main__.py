@@ -318,7 +318,7 @@ def paper_from_scratch(
     ] = None,
     out: Annotated[Path, typer.Option(help="Folder of the figures and the JSON.")] = RESULTS / "paper",
 ) -> None:
-    """The paper's curves, Table 4 and Figure 6 from scratch, and its limits: growth, texture. Three minutes."""
+    """The paper's curves, Table 4 and Figure 6 from scratch, and its limits: growth, texture. Ten minutes."""
     for line in paper.report(paper.run(data, out, tell=print)):
         print(line)
     print(f"results: {out}")

@@ -1,4 +1,4 @@
-"""Figure 6: the counterparts of Table 4, keyframes coloured by ζ; and how scores fade as maps grow."""
+"""Figures 3 and 6: heat on either graph, and the counterparts of Table 4 coloured by ζ; and scores as maps grow."""
 
 from __future__ import annotations
 
@@ -15,6 +15,9 @@ from matplotlib.collections import LineCollection
 
 from pgti_gtsam import outputs
 
+SIGNED = ("(b)", "(h)")
+"""Rows whose signatures are drawn: a global error, and incomplete fusion."""
+
 
 def draw_maps(found: Sequence[dict[str, Any]], path: Path) -> None:
     """A map for each row of the table, brighter where ζ is larger, inserted edges in red.
@@ -30,14 +33,14 @@ def draw_maps(found: Sequence[dict[str, Any]], path: Path) -> None:
     height = -(-len(found) // columns)
     figure, axes = plt.subplots(height, columns, figsize=(14, 3.3 * height), layout="constrained", squeeze=False)
     for axis, row in zip(axes.flat, found, strict=False):
-        positions, scores = np.array(row["map"]["positions"]), np.array(row["map"]["scores"])
+        first, positions, scores = row["layouts"][0], np.array(row["map"]["positions"]), np.array(row["map"]["scores"])
         pairs = np.array(row["map"]["inserted"], dtype=int)
         axis.add_collection(LineCollection(list(positions[pairs]), colors="#d7263d", linewidths=0.8, zorder=3))
         order = np.argsort(scores)
         dots = axis.scatter(*positions[order].T, c=scores[order], s=6, cmap="viridis", vmin=0, zorder=2)
         figure.colorbar(dots, ax=axis, shrink=0.7)
         axis.set_title(
-            f"{row['name']}: Λ {row['score']:.2f} (paper {row['paper']['score']:.2f})\n{row['what']}", fontsize=8
+            f"{row['name']}: Λ {first['score']:.2f} (paper {row['paper']['score']:.2f})\n{row['what']}", fontsize=8
         )
         axis.set_aspect("equal", adjustable="datalim")
         axis.tick_params(labelsize=6)
@@ -45,6 +48,31 @@ def draw_maps(found: Sequence[dict[str, Any]], path: Path) -> None:
     # empty panels
     for axis in axes.flat[len(found) :]:
         axis.axis("off")
+    with outputs.drawn(path) as part:
+        figure.savefig(part, dpi=90)
+    plt.close(figure)
+
+
+def draw_signatures(found: Sequence[dict[str, Any]], path: Path) -> None:
+    """The signatures of the worst keyframe in G_p and in G_m, of the rows of `SIGNED`: differing late, and early.
+
+    Parameters
+    ----------
+    found : sequence of mapping
+        Rows of the table, with maps.
+    path : Path
+    """
+    rows = [next(row for row in found if row["name"].startswith(name)) for name in SIGNED]
+    figure, axes = plt.subplots(1, len(rows), figsize=(10, 3.4), layout="constrained")
+    for axis, row in zip(axes, rows, strict=True):
+        times, before, after = (np.array(row["map"][name]) for name in ("times", "before", "after"))
+        axis.fill_between(times, before, color="#f2a6b5", alpha=0.35, lw=0)
+        axis.fill_between(times, before, after, facecolor="none", edgecolor="#d7263d", hatch="///", lw=0)
+        axis.plot(times, before, lw=1.2, label="in G_p")
+        axis.plot(times, after, lw=1.2, label="in G_m")
+        axis.set(xscale="log", xlabel="t", title=f"{row['name']}: Λ {row['layouts'][0]['score']:.2f}")
+    axes[0].set_ylabel("scaled HKS of the worst keyframe")
+    axes[0].legend(fontsize=8)
     with outputs.drawn(path) as part:
         figure.savefig(part, dpi=90)
     plt.close(figure)
@@ -60,8 +88,8 @@ def draw_growth(found: Sequence[dict[str, Any]], path: Path) -> None:
     path : Path
     """
     # a panel a score and an end
-    names = {"score": "Λ", "stable_score": "stable score", "open_stable_score": "stable score, open ends"}
-    figure, axes = plt.subplots(2, len(names), figsize=(11, 5.6), layout="constrained", sharex=True, sharey=True)
+    names = {"score": "Λ", "stable_score": "stable score", "near_score": "Λ of neighbourhoods", "detour": "detour"}
+    figure, axes = plt.subplots(2, len(names), figsize=(13, 5.6), layout="constrained", sharex=True, sharey=True)
     for line, end, where in zip(axes, ("far", "near"), ("away from the defect", "at the defect's end"), strict=True):
         for axis, (name, title) in zip(line, names.items(), strict=True):
             for defect in dict.fromkeys(row["defect"] for row in found):

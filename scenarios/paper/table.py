@@ -1,4 +1,4 @@
-"""Table 4 beside the paper's, the agreement in kind, and the effect of two readings of the text."""
+"""Table 4: drawn layouts of every row beside the paper's, the share of the same kind, and two readings of the text."""
 
 from __future__ import annotations
 
@@ -7,22 +7,29 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.stats import spearmanr
 
 import pgti_gtsam as pgti
 from pgti_gtsam.integrity import relative_distortion, time_grid
 from pgti_gtsam.spectral.heat_kernel import heat_kernels
-from scenarios.paper.rows import BETAS, Row, aliased, rows
-from scenarios.paper.ways import covisible, kitti_00, pose_graph, radius_inserting, scale_drift, way
+from scenarios.paper.growth import detours
+from scenarios.paper.rows import BETAS, Row, rows
+from scenarios.paper.ways import Pairs
 
-HARMLESS, BALANCED = 0.2, 1.2
-"""Λ below which the paper's rows are harmless, and the ratio of Λ_loc and Λ_glob up to which they count as equal."""
+HARMLESS, BALANCED, SEVERE = 0.2, 1.2, 1.0
+"""Λ below which the paper's rows are harmless, the ratio of Λ_loc and Λ_glob up to which they count as equal, and Λ
+above which the paper's large errors lie."""
 
-N_FALSE_LOOPS = 40
-"""Drawn false loops beside which rows (f) and (g) stand."""
+SEEDS = range(20)
+"""Of the layouts of each row; the first is drawn in the figure."""
+
+
+STEADY = ("score", "stable_score", "detour", "apart")
+"""Of `steady_markdown`."""
 
 
 def run(data: Path | None, tell: Callable[[str], None]) -> list[dict[str, Any]]:
-    """Score every counterpart; rows ready for JSON, each with its map for the figure.
+    """Score the layouts of every row; rows ready for JSON, each with its first map for the figure.
 
     Parameters
     ----------
@@ -33,46 +40,73 @@ def run(data: Path | None, tell: Callable[[str], None]) -> list[dict[str, Any]]:
     """
     found = []
     for row in rows(data):
-        graph = row.pose_graph()
-        found.append(scored(row, graph))
+        maps = [row.pose_graph(seed) for seed in SEEDS]
+        layouts = [{"seed": seed, **scored(graph)} for seed, graph in zip(SEEDS, maps, strict=True)]
+        found.append(
+            {
+                "name": row.name,
+                "what": row.what,
+                "paper": paper(row),
+                "layouts": layouts,
+                "map": drawn(maps[0]),
+            }
+        )
         tell(line(found[-1]))
     return found
 
 
-def scored(row: Row, graph: pgti.PoseGraph) -> dict[str, Any]:
-    """The scores of a counterpart, beside the paper's.
+def paper(row: Row) -> dict[str, Any]:
+    """The paper's figures of a row."""
+    return {
+        "sizes": [row.n_keyframes, row.n_edges, row.n_edges + row.n_inserted],
+        "score": row.score,
+        "splits": row.splits,
+        "kind": kind(row.score, row.splits),
+    }
 
-    Parameters
-    ----------
-    row : Row
-    graph : pgti.PoseGraph
-    """
+
+def scored(graph: pgti.PoseGraph) -> dict[str, Any]:
+    """The scores of a layout."""
     integrity = pgti.assess(graph)
     splits = [(split.local, split.global_) for split in map(integrity.split, BETAS)]
     return {
-        "name": row.name,
-        "what": row.what,
-        "paper": {
-            "sizes": [row.n_keyframes, row.n_edges, row.n_edges + row.n_inserted],
-            "score": row.score,
-            "splits": row.splits,
-        },
         "sizes": [len(graph), len(graph.edges), len(integrity.merged_edges)],
         "radius_m": float(graph.radii[0]),
         "score": integrity.score,
         "splits": splits,
         "kind": kind(integrity.score, splits),
-        "paper_kind": kind(row.score, row.splits),
         "stable_score": integrity.stable_score,
         "n_collisions": len(integrity.collision_edges),
         "collision_score": integrity.collisions.score,
+        "apart": apart(integrity.inserted_edges, len(graph)),
+        "detour": 1 - 1 / float(detours(len(graph), graph.edges, integrity.inserted_edges).max()),
         "readings": readings(graph, integrity),
-        "map": {
-            "positions": np.round(graph.positions[:, :2], 2).tolist(),
-            "scores": np.round(integrity.keyframe_scores, 4).tolist(),
-            "inserted": integrity.inserted_edges.tolist(),
-        },
-    }  # fmt: skip
+    }
+
+
+def drawn(graph: pgti.PoseGraph) -> dict[str, Any]:
+    """Positions, ζ and inserted edges for Fig. 6; times and both signatures of the worst keyframe for Fig. 3."""
+    integrity = pgti.assess(graph)
+    return {
+        "times": integrity.times.tolist(),
+        "before": integrity.signatures_pose_graph[integrity.worst].tolist(),
+        "after": integrity.signatures_merged_graph[integrity.worst].tolist(),
+        "positions": np.round(graph.positions[:, :2], 2).tolist(),
+        "scores": np.round(integrity.keyframe_scores, 4).tolist(),
+        "inserted": integrity.inserted_edges.tolist(),
+    }
+
+
+def apart(inserted: Pairs, n: int) -> float:
+    """Median share of the way between the ends of the inserted edges: of a lap, the lap's share.
+
+    Parameters
+    ----------
+    inserted : (k, 2) int
+    n : int
+        Keyframes.
+    """
+    return float(np.median(np.ptp(inserted, axis=1)) / n)
 
 
 def kind(score: float, splits: Sequence[tuple[float, float]]) -> str:
@@ -104,88 +138,79 @@ def readings(graph: pgti.PoseGraph, integrity: pgti.Integrity) -> dict[str, floa
     before, after = heat_kernels(len(graph), graph.edges, integrity.merged_edges)
     shared, own = time_grid(after, 100), time_grid(before, 100)
     found = {}
-    for name, times in (("shared", shared), ("own", own)):
+    for name, times in (("merged", shared), ("own", own)):
         pair = before.signatures(times), after.signatures(shared)
         for norm in (1, 2):
             found[f"{name}, p = {norm}"] = float(relative_distortion(*pair, norm).max())
     return found
 
 
-def false_loops(seed: int) -> dict[str, Any]:
-    """Λ and Λ_glob of drawn false loops in the corridors of rows (f) and (g), sized as row (g)."""
-    row = next(each for each in rows(None) if each.name.startswith("(g)"))
-    random, scores, far = np.random.default_rng(seed), [], []
-    while len(scores) < N_FALSE_LOOPS:
-        first, second = np.sort(random.uniform(0.05, 0.95, 2))
-        if second - first < 0.25:
-            continue
-        positions, edges = aliased(first, second)(row.n_keyframes, row.n_edges)
-        integrity = pgti.assess(pose_graph(positions, edges, radius_inserting(positions, edges, row.n_inserted)))
-        scores.append(integrity.score)
-        far.append(integrity.split().global_ > integrity.split().local)
-    low, middle, high = np.quantile(scores, [0.25, 0.5, 0.75])
-    return {"seed": seed, "n": len(scores), "quartiles": [low, middle, high], "largest": max(scores),
-            "above_1": int((np.array(scores) > 1).sum()), "global_dominates": int(sum(far))}  # fmt: skip
-
-
-def drifts(data: Path) -> list[dict[str, float]]:
-    """Λ of the true way of KITTI 00, sized as row (a), by how much its scale drifts a kilometre."""
-    row, found = rows(None)[0], []
-    edges = covisible(row.n_keyframes, row.n_edges)
-    for per_km in (0.02, 0.05, 0.1, 0.15, 0.2, 0.3):
-        positions = scale_drift(kitti_00(data, 5, row.n_keyframes), per_km)
-        graph = pose_graph(positions, edges, radius_inserting(positions, edges, row.n_inserted))
-        found.append({"per_km": per_km, "score": pgti.assess(graph).score})
-    return found
-
-
-def side_loops() -> list[dict[str, float]]:
-    """The side loop of row (d) at other places of a way as long: the largest ratio of the parts over all β."""
-    row = next(each for each in rows(None) if each.name.startswith("(d)"))
-    edges, found = covisible(row.n_keyframes, row.n_edges), []
-    for behind_m in (8, 20, 40, 80, 120):
-        corners = [(-230.0 + behind_m, 0.0), (20.0, 0.0), (20.0, 20.0), (0.0, 20.0), (0.0, -float(behind_m))]
-        positions = way(corners, row.n_keyframes)
-        integrity = pgti.assess(pose_graph(positions, edges, radius_inserting(positions, edges, row.n_inserted)))
-        parts = [(split.local, split.global_) for split in map(integrity.split, BETAS)]
-        found.append({"behind_m": behind_m, "ratio": max(max(pair) / min(pair) for pair in parts)})
-    return found
-
-
 def line(row: dict[str, Any]) -> str:
     """A row in words."""
-    paper = f"paper {row['paper']['score']:.3f}, {row['paper_kind']}"
-    return f"{row['name']:14s} Λ {row['score']:.3f}, {row['kind']} ({paper})"
+    of_kind, severe = _counts(row)
+    of = len(row["layouts"])
+    return (
+        f"{row['name']:14s} Λ {_spread(_scores(row))} (paper {row['paper']['score']:.3f}), "
+        f"{of_kind} of {of} {row['paper']['kind']}, {severe} above {SEVERE:g}"
+    )
 
 
 def markdown(found: Sequence[dict[str, Any]]) -> list[str]:
-    """Two lines a row: ours, and the paper's."""
-    lines = [
-        "| row | | V | E_p | E_m | " + " | ".join(f"β {beta:.0%}" for beta in BETAS) + " | Λ | kind |",
-        "|---|---|---|---|---|" + "---|" * len(BETAS) + "---|---|",
-    ]
+    """Two lines a row: the medians and quartiles of ours, and the paper's."""
+    heads = ["row", "", "V", "E_p", "E_m", *(f"β {beta:.0%}" for beta in BETAS), "Λ", "kind", f"Λ > {SEVERE:g}"]
+    lines = ["| " + " | ".join(heads) + " |", "|---" * len(heads) + "|"]
     for row in found:
-        lines.append(_cells(row["name"], row["what"], row["sizes"], row["splits"], row["score"], row["kind"]))
-        paper = row["paper"]
-        lines.append(_cells("", "paper", paper["sizes"], paper["splits"], paper["score"], row["paper_kind"]))
+        paper, of = row["paper"], len(row["layouts"])
+        of_kind, severe = _counts(row)
+        sizes = np.median([each["sizes"] for each in row["layouts"]], axis=0).astype(int)
+        splits = np.median([each["splits"] for each in row["layouts"]], axis=0)
+        counts = [f"{of_kind} of {of}", f"{severe} of {of}"]
+        lines.append(_cells(row["name"], row["what"], sizes, splits, _spread(_scores(row)), *counts))
+        lines.append(_cells("", "paper", paper["sizes"], paper["splits"], f"{paper['score']:.3f}", paper["kind"], ""))
     return lines
 
 
 def readings_markdown(found: Sequence[dict[str, Any]]) -> list[str]:
-    """Λ of every row by how the text is read."""
-    names = list(found[0]["readings"])
-    lines = [
-        "| row | " + " | ".join(f"{name.replace('shared', 'merged')}" for name in names) + " |",
-        "|---|" + "---|" * len(names),
-    ]
-    lines += [
-        f"| {row['name']} | " + " | ".join(f"{row['readings'][name]:.3f}" for name in names) + " |" for row in found
-    ]
+    """The median Λ of every row by how the text is read."""
+    names = list(found[0]["layouts"][0]["readings"])
+    lines = ["| row | " + " | ".join(names) + " | paper |", "|---|" + "---|" * (len(names) + 1)]
+    for row in found:
+        middle = [np.median([each["readings"][name] for each in row["layouts"]]) for name in names]
+        lines.append(f"| {row['name']} | " + " | ".join(f"{x:.3f}" for x in (*middle, row["paper"]["score"])) + " |")
     return lines
 
 
-def _cells(
-    name: str, what: str, sizes: Sequence[int], splits: Sequence[Sequence[float]], score: float, kind: str
-) -> str:
+def steady_markdown(found: Sequence[dict[str, Any]]) -> list[str]:
+    """Median and quartiles of the scores that do not fade as maps grow, and how Λ follows the size of the defect."""
+    lines = [
+        "| row | Λ | stable score | detour | rank correlation of Λ with the way between |",
+        "|---|---|---|---|---|",
+    ]
+    for row in found:
+        curves = {name: [each[name] for each in row["layouts"]] for name in STEADY}
+        cells = [_spread(curves[name]) for name in STEADY[:3]]
+        differ = np.ptp(curves["apart"]) > 0
+        cells.append(f"{spearmanr(curves['apart'], curves['score']).statistic:.2f}" if differ else "–")
+        lines.append(f"| {row['name']} | " + " | ".join(cells) + " |")
+    return lines
+
+
+def _scores(row: dict[str, Any]) -> list[float]:
+    return [each["score"] for each in row["layouts"]]
+
+
+def _counts(row: dict[str, Any]) -> tuple[int, int]:
+    """Layouts of the paper's kind, and layouts with a large Λ."""
+    of_kind = sum(each["kind"] == row["paper"]["kind"] for each in row["layouts"])
+    return of_kind, sum(score > SEVERE for score in _scores(row))
+
+
+def _spread(scores: Sequence[float]) -> str:
+    """Median, quartiles in brackets."""
+    low, middle, high = np.quantile(scores, [0.25, 0.5, 0.75])
+    return f"{middle:.3f} [{low:.3f}, {high:.3f}]"
+
+
+def _cells(name: str, what: str, sizes: Sequence[int], splits: Sequence[Sequence[float]], *last: str) -> str:
     parts = [f"{near:.3f}, {far:.2f}" for near, far in splits]
-    return "| " + " | ".join([name, what, *map(str, sizes), *parts, f"{score:.3f}", kind]) + " |"
+    return "| " + " | ".join([name, what, *map(str, sizes), *parts, *last]) + " |"
