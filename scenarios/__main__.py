@@ -11,7 +11,7 @@ import typer
 
 from pgti_gtsam import outputs
 from pgti_gtsam.errors import InvalidOptionError, PgtiError
-from scenarios import kitti, near_misses, paper, pipeline, sweep, worlds
+from scenarios import kitti, load, near_misses, paper, pipeline, sweep, worlds
 from scenarios import scans as scan_graphs
 from scenarios import speed as speed_experiment
 from scenarios import spikes as spikes_experiment
@@ -293,6 +293,18 @@ def stream_latency(
     """How long a pipeline waits for a verdict of `gate --stream`. Two minutes."""
     rows = stream_experiment.run(largest, seed=0, state=state, tell=print)
     outputs.write_text(out, json_text.dumps(rows, indent=1) + "\n")
+    print(f"results: {out}")
+
+
+@app.command("load")
+def closures_without_end(
+    closures: Annotated[int, typer.Option(help="Closures that are offered, one at each keyframe.")] = 50_000,
+    out: Annotated[Path, typer.Option(help="Where the JSON and the figure go.")] = RESULTS / "load.json",
+) -> None:
+    """Time, memory and open files of a gate that is offered closure upon closure. Hours; a thousand: a minute."""
+    rows = load.run(closures, seed=0, tell=print)
+    outputs.write_text(out, json_text.dumps(rows, indent=1) + "\n")
+    load.draw(rows, out.with_suffix(".png"))
     print(f"results: {out}")
 
 

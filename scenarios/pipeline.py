@@ -156,13 +156,17 @@ def line(row: Row) -> str:
     )
 
 
-def drive(n_keyframes: int, seed: int) -> Iterator[tuple[gtsam.NonlinearFactorGraph, gtsam.Values, list[Any]]]:
+def drive(
+    n_keyframes: int, seed: int, every: int = EVERY
+) -> Iterator[tuple[gtsam.NonlinearFactorGraph, gtsam.Values, list[Any]]]:
     """The input of each keyframe: odometry and first value, and regularly a closure to the lap before.
 
     Parameters
     ----------
     n_keyframes : int
     seed : int
+    every : int
+        Keyframes between two closures.
     """
     # noise, motion and poses
     random = np.random.default_rng(seed)
@@ -186,7 +190,7 @@ def drive(n_keyframes: int, seed: int) -> Iterator[tuple[gtsam.NonlinearFactorGr
 
         # a closure
         closures = []
-        if k >= LAP and k % EVERY == 0:
+        if k >= LAP and k % every == 0:
             seen = poses[k - LAP].between(truth).compose(gtsam.Pose2(*random.normal(0, [0.05, 0.05, 0.01])))
             closures = [between(k - LAP, k, seen, noise)]
         yield factors, values, closures

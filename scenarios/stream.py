@@ -61,9 +61,9 @@ def run(largest: int, seed: int, state: Path | None, tell: Callable[[str], None]
         # every keyframe, answer by answer
         for k, (factors, _, closures) in enumerate(drive(largest, seed)):
             for between in between_factors(factors):
-                steps.append(asked(_line(between) + PROBE)[1])
+                steps.append(asked(g2o_line(between) + PROBE)[1])
             for closure in closures:
-                answer, times = asked(_line(between_factors(graph_of([closure]))[0]))
+                answer, times = asked(g2o_line(between_factors(graph_of([closure]))[0]))
                 closings.append((k, times))
                 accepted += answer["accepted"]
             if k + 1 in SIZES and closings:
@@ -106,7 +106,7 @@ def _busy_s(process: int) -> float:
     return int(Path(f"/proc/{process}/schedstat").read_text(encoding="ascii").split()[0]) * 1e-9
 
 
-def _line(between: Any) -> bytes:
+def g2o_line(between: Any) -> bytes:
     """A planar between factor as g2o text."""
     measured, information = between.factor.measured(), between.factor.noiseModel().information()
     upper = [float(information[i, j]) for i in range(3) for j in range(i, 3)]

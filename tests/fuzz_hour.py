@@ -54,6 +54,13 @@ def tried(drawn, radius):
         return found
 
 
+def unpacked(line):
+    """A map and a radius of the corpus: what `tried` takes, and the line's own outcome."""
+    kept = json.loads(line)
+    files = {place: zlib.decompress(base64.b85decode(data)) for place, data in kept["files"].items()}
+    return ((files, kept["read"], kept["values"]), kept["radius"]), (kept["step"], kept["kind"])
+
+
 def commanded(argv):
     """Run the command line in this process; raises what it lets through."""
     sys.argv = ["pgti-gtsam", *argv]
@@ -149,6 +156,7 @@ class Notes:
         folder.mkdir(parents=True, exist_ok=True)
         self.folder, self.counts, self.seen = folder, collections.Counter(), set()
         self.slowest = self.busy = 0.0
+        self.started = time.monotonic()
 
     def add(self, case, found, seconds):
         self.slowest, self.busy = max(self.slowest, seconds), self.busy + seconds
@@ -167,8 +175,8 @@ class Notes:
         with (self.folder / name).open("a") as file:
             file.write(json.dumps(line | {"files": packed}) + "\n")
 
-    def write(self, seconds, rounds):
-        written = {"seconds": round(seconds, 1), "rounds": rounds, "slowest_s": round(self.slowest, 2)}
+    def write(self):
+        written = {"seconds": round(time.monotonic() - self.started, 1), "slowest_s": round(self.slowest, 2)}
         written["processor_s"] = round(self.busy, 1)
         written["shapes"] = len(self.seen)
         text = json.dumps(written | {"counts": dict(sorted(self.counts.items()))}, indent=1)
@@ -182,13 +190,17 @@ def main():
     parser.add_argument("--seed", type=int, default=0, help="of the first round")
     parser.add_argument("--out", type=Path, required=True)
     options = parser.parse_args()
-    notes, child, started = Notes(options.out), Child(), time.monotonic()
-    number = options.seed
-    while time.monotonic() - started < options.seconds:
+    fuzz(options.seconds, options.seed, options.out)
+    sys.stdout.write((options.out / "counts.json").read_text())
+
+
+def fuzz(seconds, first, folder):
+    """Rounds of cases by seeds from the first on, until the time is over."""
+    notes, child, end = Notes(folder), Child(), time.monotonic() + seconds
+    number = first
+    while time.monotonic() < end:
         one_round(number, child, notes)
         number += 1
-        notes.write(time.monotonic() - started, number - options.seed)
-    sys.stdout.write((options.out / "counts.json").read_text())
 
 
 def one_round(number, child, notes):
@@ -199,6 +211,7 @@ def one_round(number, child, notes):
         before = child.busy_s()
         found = child.ask(case)
         notes.add(case, found, max(0.0, child.busy_s() - before))
+        notes.write()
 
     @seed(number)
     @settings(drawing, max_examples=150)

@@ -2,18 +2,19 @@
 
 import os
 import tempfile
-import time
 import warnings
 from pathlib import Path
 
 import pytest
+from fuzz_hour import fuzz, tried, unpacked
 from fuzzing import damaged, maps, odd_maps, put
-from hypothesis import HealthCheck, Phase, given, seed, settings
+from hypothesis import HealthCheck, given, settings
 
 import pgti_gtsam as pgti
 from pgti_gtsam import datasets
 from pgti_gtsam.errors import PgtiError
 
+SEEDS = (Path(__file__).parent / "fuzz_seeds.jsonl").read_text().splitlines()
 PROBED = {"archive"}  # formats that a process of its own reads first, a second each
 QUICK = sorted(set(maps()) - PROBED)
 LONG_S = float(os.environ.get("PGTI_FUZZ_SECONDS", "3600"))
@@ -64,6 +65,14 @@ def test_damaged_archives_are_read_or_refused(drawn):
         read(drawn, Path(folder))
 
 
+@pytest.mark.parametrize("line", SEEDS)
+def test_what_the_hour_of_fuzz_kept(line):
+    """The first map of every way to be refused or judged, and those that a command once failed on."""
+    case, (step, kind) = unpacked(line)
+    told, text = tried(*case)[step]
+    assert (told, "\n" in text) == (kind, False)
+
+
 @settings(relaxed, max_examples=20)
 @given(odd_maps())
 def test_odd_maps_are_judged_or_refused(drawn):
@@ -78,32 +87,7 @@ def judge_text(text, radius):
 
 
 @pytest.mark.slow
-def test_an_hour_of_damaged_and_odd_files():
+def test_an_hour_of_damaged_and_odd_files(tmp_path):
     """``PGTI_FUZZ_SECONDS`` makes it shorter or longer."""
-    end = time.monotonic() + LONG_S
-    for number in range(10**9):
-        if time.monotonic() > end:
-            return
-        _round(number)
-
-
-def _round(number):
-    longer = settings(relaxed, derandomize=False, database=None, phases=[Phase.generate], max_examples=100)
-
-    @seed(number)
-    @longer
-    @given(damaged())
-    def files(drawn):
-        with tempfile.TemporaryDirectory() as folder:
-            found = read(drawn, Path(folder))
-            if found is not None:
-                judge(found)
-
-    @seed(number)
-    @longer
-    @given(odd_maps())
-    def numbers(drawn):
-        judge_text(*drawn)
-
-    files()
-    numbers()
+    fuzz(LONG_S, 0, tmp_path)
+    assert not (tmp_path / "findings.jsonl").exists()

@@ -1,0 +1,169 @@
+"""Closure upon closure: does a gate that runs for days need more than its map does?
+
+The drive of `scenarios.pipeline` with a closure at every keyframe after the first lap, through three takers, each in a
+process of its own: iSAM2 alone, `GatedISAM2`, and `pgti-gtsam gate --stream`. At forty points of the way: processor
+time of a keyframe with its closure, resident memory, open files, threads.
+"""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+import os
+import subprocess
+from collections.abc import Callable, Iterator
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+import gtsam
+import matplotlib
+
+import pgti_gtsam as pgti
+from pgti_gtsam import outputs
+from pgti_gtsam.datasets.chain import between_factors
+from pgti_gtsam.factor_graphs import graph_of, joined
+from scenarios.pipeline import LAP, RADIUS_M, drive
+from scenarios.stream import COMMAND, g2o_line
+
+matplotlib.use("Agg")
+from matplotlib import pyplot as plt
+
+POINTS = 40
+Row = dict[str, Any]
+Step = tuple[gtsam.NonlinearFactorGraph, gtsam.Values, list[Any]]
+
+
+def run(n_closures: int, seed: int, tell: Callable[[str], None]) -> list[Row]:
+    """A row for each taker and point.
+
+    Parameters
+    ----------
+    n_closures : int
+    seed : int
+        Of the drive.
+    tell : callable
+        Told each row in words.
+    """
+    rows: list[Row] = []
+    for taker in (_alone, _gated, _streamed):
+        ours, theirs = multiprocessing.Pipe(duplex=False)
+        process = multiprocessing.get_context("spawn").Process(target=taker, args=(n_closures, seed, theirs))
+        process.start()
+        theirs.close()
+        while (row := _received(ours)) is not None:
+            rows.append(row)
+            tell(line(row))
+        process.join()
+    return rows
+
+
+def line(row: Row) -> str:
+    """A row in words."""
+    return (
+        f"{row['taker']:12s} {row['n_closures']:6d} closures, {row['accepted']} accepted: "
+        f"{row['step_s'] * 1e3:.2f} ms a keyframe, {row['megabytes']:.1f} MB, "
+        f"{row['files']} files, {row['threads']} threads"
+    )
+
+
+def draw(rows: list[Row], path: Path) -> None:
+    """Time, memory and open files by the number of closures.
+
+    Parameters
+    ----------
+    rows : list of Row
+    path : Path
+    """
+    figure, axes = plt.subplots(1, 3, figsize=(11, 3.6), layout="constrained")
+    for taker in dict.fromkeys(row["taker"] for row in rows):
+        own = [row for row in rows if row["taker"] == taker]
+        closures = [row["n_closures"] for row in own]
+        for axis, name, scale in zip(axes, ("step_s", "megabytes", "files"), (1e3, 1.0, 1.0), strict=True):
+            axis.plot(closures, [scale * row[name] for row in own], label=taker)
+    for axis, label in zip(
+        axes, ("processor time of a keyframe, ms", "resident memory, MB", "open files"), strict=True
+    ):
+        axis.set(xlabel="closures", ylabel=label, ylim=(0, None))
+        axis.grid(alpha=0.3)
+    axes[0].legend()
+    with outputs.drawn(path) as part:
+        figure.savefig(part, dpi=130)
+    plt.close(figure)
+
+
+def _received(ours: Connection) -> Row | None:
+    try:
+        return ours.recv()
+    except EOFError:
+        return None
+
+
+def _alone(n_closures: int, seed: int, pipe: Connection) -> None:
+    smoother = gtsam.ISAM2()
+
+    def take(step: Step) -> int:
+        factors, values, closures = step
+        smoother.update(joined(factors, graph_of(closures)), values)
+        return len(closures)
+
+    _drive("iSAM2 alone", n_closures, seed, take, os.getpid(), pipe)
+
+
+def _gated(n_closures: int, seed: int, pipe: Connection) -> None:
+    smoother = pgti.GatedISAM2(radii=RADIUS_M)
+    _drive(
+        "GatedISAM2",
+        n_closures,
+        seed,
+        lambda step: sum(decision.accepted for decision in smoother.update(*step).decisions),
+        os.getpid(),
+        pipe,
+    )
+
+
+def _streamed(n_closures: int, seed: int, pipe: Connection) -> None:
+    with subprocess.Popen([*COMMAND, str(RADIUS_M)], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as stream:
+
+        def take(step: Step) -> int:
+            factors, _, closures = step
+            lines = [g2o_line(between) for graph in (factors, graph_of(closures)) for between in between_factors(graph)]
+            stream.stdin.write(b"".join(lines))
+            stream.stdin.flush()
+            return sum(json.loads(stream.stdout.readline())["accepted"] for _ in closures)
+
+        _drive("gate --stream", n_closures, seed, take, stream.pid, pipe)
+        stream.stdin.close()
+
+
+def _drive(taker: str, n_closures: int, seed: int, take: Callable[[Step], int], process: int, pipe: Connection) -> None:
+    """Drive, and report on the process of the taker."""
+    accepted, busy = 0, _busy_s(process)
+    reported = LAP
+    steps: Iterator[Step] = drive(LAP + n_closures, seed, every=1)
+    for k, step in enumerate(steps, start=1):
+        accepted += take(step)
+        if k >= LAP and (k - LAP) % max(n_closures // POINTS, 1) == 0:
+            now = _busy_s(process)
+            pipe.send(
+                {
+                    "taker": taker,
+                    "n_closures": k - LAP,
+                    "accepted": accepted,
+                    "step_s": (now - busy) / (k - reported or LAP),
+                    "megabytes": int(_told(process, "statm").split()[1]) * os.sysconf("SC_PAGESIZE") / 2**20,
+                    "files": len(os.listdir(f"/proc/{process}/fd")),
+                    "threads": len(os.listdir(f"/proc/{process}/task")),
+                }
+            )
+            busy, reported = now, k
+
+
+def _busy_s(process: int) -> float:
+    """Processor time of a process."""
+    fields = _told(process, "stat").rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def _told(process: int, name: str) -> str:
+    return Path(f"/proc/{process}/{name}").read_text(encoding="ascii")
