@@ -24,7 +24,7 @@ from scenarios.diagnosis import narrow as narrow_cameras
 from scenarios.diagnosis import tables as diagnosis_tables
 from scenarios.diagnosis import trials as diagnosis_trials
 from scenarios.evidence import calibration as reliability
-from scenarios.evidence import rise_fit
+from scenarios.evidence import radius_loss, rise_fit
 from scenarios.mend import figure as mended_figure
 from scenarios.mend import run as mending
 from scenarios.mend import tables as mended_tables
@@ -228,6 +228,20 @@ def what_a_rise_says(
     """Revisits that the drift leaves in doubt: the fit that says what a rise of the score is worth. Five minutes."""
     wanted = [rise_fit.Trial(name, seed) for seed in _whole_numbers(seeds) for name in LAYOUTS]
     for line in rise_fit.report(sweep.run(out, wanted, rise_fit.row, scheduler, print)):
+        print(line)
+    print(f"results: {out}")
+
+
+@app.command("radius-loss")
+def what_a_lost_radius_says(
+    seeds: Annotated[str, typer.Option(help="Seeds of the drives, between commas.")] = "1000,1001,1002,1003",
+    scheduler: Annotated[str | None, typer.Option(help="Address of a Dask scheduler; a local cluster without.")] = None,
+    out: Annotated[Path, typer.Option(help="A JSON line a drive; known ones are kept.")] = RESULTS
+    / "radius_loss.jsonl",
+) -> None:
+    """Revisits in doubt: what landmarks inside spheres that were free say beyond drift and rise. Five minutes."""
+    wanted = [radius_loss.Trial(name, seed) for seed in _whole_numbers(seeds) for name in LAYOUTS]
+    for line in radius_loss.report(sweep.run(out, wanted, radius_loss.row, scheduler, print)):
         print(line)
     print(f"results: {out}")
 

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import gtsam
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -10,7 +11,7 @@ from optional import needs_open3d
 from scipy.special import expit
 
 from scenarios import near_misses
-from scenarios.evidence import calibration, rise_fit
+from scenarios.evidence import calibration, radius_loss, rise_fit
 
 DATA = Path(__file__).parents[2] / "shared" / "data"
 pytestmark = needs_open3d
@@ -82,4 +83,26 @@ def test_the_information_that_real_loops_are_told_changes_no_verdict_and_far_one
     assert counts[0] == counts[1]
     assert counts[0][0] >= 0.99 * rows[0]["true"]
     assert max(counts[0][1]) < 6.0
-    assert sum(1 for _ in near_misses.report(rows)) == 4
+    assert sum(1 for _ in near_misses.report(rows)) == 7
+    assert np.median(rows[0]["true_disagreements"] + rows[0]["false_disagreements"]) == pytest.approx(1.0)
+
+
+def test_a_wall_inside_a_sphere_takes_radius_and_one_beyond_takes_none():
+    here = gtsam.Pose3(gtsam.Rot3.Yaw(1.0), np.array([5.0, 0.0, 0.0]))
+    there = gtsam.Pose3(gtsam.Rot3.Yaw(np.pi / 2), np.array([5.0, 1.0, 0.0]))
+    landmarks = np.array([[0.0, 3.0, 0.0], [0.5, 0.0, 0.0]])  # 1.5 m ahead of here, and farther
+    assert radius_loss.lost(here, 2.0, there, landmarks) == pytest.approx(0.25)
+    assert radius_loss.lost(here, 1.0, there, landmarks) == 0.0
+    assert radius_loss.lost(here, 1.0, there, np.empty((0, 3))) == 0.0
+
+
+def test_evidence_that_says_nothing_does_not_raise_the_likelihood_of_held_out_truths():
+    random = np.random.default_rng(0)
+    true = random.random(600) < 0.5
+    drift, noise = random.normal(3.0 * true, 2.0), random.normal(size=600)
+    groups = np.arange(600) % 3
+    alone, both, nothing = (
+        radius_loss.likelihood(np.column_stack(columns), true, groups) for columns in ([drift], [drift, noise], [noise])
+    )
+    assert nothing < -0.69 < alone
+    assert both < alone + 0.003

@@ -54,8 +54,8 @@ class Drive:
     odometry : Odometry
     radii : dict of int to float
         m, by keyframe, from landmark factors on the drifted poses.
-    n_sightings : (n,) int
-        Landmarks that each keyframe saw.
+    landmarks : list of (m, 3) float
+        m, by keyframe, as the keyframe sees them in the odometry's scale.
     pairs : (k, 2) int
         Proposed closures, earlier keyframe first.
     measured : list of gtsam.Pose3
@@ -71,7 +71,7 @@ class Drive:
     truth: list[gtsam.Pose3]
     odometry: drift.Odometry
     radii: dict[int, float]
-    n_sightings: NDArray[np.int64]
+    landmarks: list[Array]
     pairs: NDArray[np.int64]
     measured: list[gtsam.Pose3]
     true: NDArray[np.bool_]
@@ -113,7 +113,7 @@ def drive(world: str, seed: int, length_m: float | None = None) -> Drive:
         truth=truth,
         odometry=odometry,
         radii=radii,
-        n_sightings=np.array([len(tracks) for tracks in seen]),
+        landmarks=[scale * _places(tracks) for tracks, scale in zip(seen, odometry.scales, strict=True)],
         pairs=found.pairs,
         measured=measured,
         true=true,
@@ -222,6 +222,10 @@ def _agrees(true: gtsam.Pose3, measured: gtsam.Pose3) -> bool:
     off = true.between(measured)
     turned = np.linalg.norm(gtsam.Rot3.Logmap(off.rotation()))
     return bool(np.linalg.norm(off.translation()) < TRUE_M and turned < TRUE_RAD)
+
+
+def _places(tracks: list[tuple[int, Array]]) -> Array:
+    return np.array([at for _, at in tracks]).reshape(-1, 3)
 
 
 def _radii(seen: list[list[tuple[int, Array]]], odometry: drift.Odometry, layout: Layout) -> dict[int, float]:
