@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from optional import needs_open3d
 from scipy.special import expit
 
-from scenarios import near_misses
+from pgti_gtsam.gate.admission import DOUBT
+from scenarios import near_misses, worlds
 from scenarios.evidence import calibration, radius_loss, rise_fit
 
 DATA = Path(__file__).parents[2] / "shared" / "data"
@@ -94,6 +95,18 @@ def test_a_wall_inside_a_sphere_takes_radius_and_one_beyond_takes_none():
     assert radius_loss.lost(here, 2.0, there, landmarks) == pytest.approx(0.25)
     assert radius_loss.lost(here, 1.0, there, landmarks) == 0.0
     assert radius_loss.lost(here, 1.0, there, np.empty((0, 3))) == 0.0
+
+
+def test_a_drive_becomes_revisits_in_doubt_with_rise_and_loss(monkeypatch):
+    whole = worlds.drive
+    monkeypatch.setattr(worlds, "drive", lambda world, seed, length_m=None: whole(world, seed, 250.0))
+    revisits = np.array(radius_loss.row(radius_loss.Trial("warehouse", 1001))["revisits"], dtype=float)
+    drift, _, loss, is_true = revisits.T
+    assert (np.abs(drift) <= DOUBT).all()
+    assert ((loss >= 0) & (loss <= 1)).all()
+    assert 0 < is_true.sum() < len(is_true)
+    by_rise = rise_fit.row(rise_fit.Trial("warehouse", 1001))["revisits"]
+    np.testing.assert_array_equal(np.array(by_rise, dtype=float), revisits[:, [0, 1, 3]])
 
 
 def test_evidence_that_says_nothing_does_not_raise_the_likelihood_of_held_out_truths():

@@ -21,6 +21,7 @@ from scipy.special import expit
 import pgti_gtsam as pgti
 from pgti_gtsam.gate.admission import DOUBT
 from pgti_gtsam.gate.reference_map import ReferenceMap
+from pgti_gtsam.gate.settled import settle
 from scenarios import measures, worlds
 from scenarios.evidence.rise_fit import arrivals, tied_rise
 from scenarios.problem import space
@@ -63,7 +64,7 @@ def _loss_on(driven: Drive) -> Any:
 
     def loss(reference: ReferenceMap, closures: Sequence[gtsam.NonlinearFactorGraph]) -> float:
         offered, _ = reference.offered(closures)
-        tied = offered.model.settled(np.ones(len(offered.active), dtype=bool), offered)
+        tied = settle(offered.model, np.ones(len(offered.active), dtype=bool), offered)
         level = offered.model.levelling.inverse()
         poses = [space(pose.compose(level)) for pose in tied.poses]
         pairs = offered.model.ties.pairs[reference.n_ties :].tolist()

@@ -20,6 +20,7 @@ from pgti_gtsam.factor_graphs import checked_closure
 from pgti_gtsam.gate.admission import DOUBT
 from pgti_gtsam.gate.candidate_map import CandidateMaps
 from pgti_gtsam.gate.reference_map import ReferenceMap
+from pgti_gtsam.gate.settled import settle
 from pgti_gtsam.gate.terms.contact_rise import RISE, local_rise
 from scenarios import worlds
 from scenarios.aliasing import methods
@@ -92,8 +93,8 @@ def tied_rise(reference: ReferenceMap, closures: Sequence[gtsam.NonlinearFactorG
         Of a revisit.
     """
     offered, _ = reference.offered(closures)
-    tied = offered.model.settled(np.ones(len(offered.active), dtype=bool), offered)
-    maps = CandidateMaps(reference=reference, beta=0.5)
+    tied = settle(offered.model, np.ones(len(offered.active), dtype=bool), offered)
+    maps = CandidateMaps(reference=reference, offered=offered)
     return local_rise(reference.contacts, maps.contacts(tied))[0].rise
 
 
