@@ -18,6 +18,9 @@ NOTHING, DROPPED, FALSE, MANY_FALSE = "nothing", "revisit dropped", "false closu
 DRIFT, ODOMETRY, BACK = "drift", "odometry only", "out and back"
 DAMAGES = (NOTHING, DROPPED, FALSE, MANY_FALSE, DRIFT, ODOMETRY, BACK)
 
+SCALE = "scale drift"
+"""A drive whose odometry errs in its scale alone, as a single camera's does: of one way, in `kitti`."""
+
 APART = 10.0
 """Least distance of the ends of a false closure, in radii."""
 

@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
+from scenarios.diagnosis.damage import ODOMETRY, SCALE
 from scenarios.diagnosis.expectation import is_right
 
 EXPECTED = ("consistent", "incomplete", "inconsistent")
@@ -77,7 +78,7 @@ def untied(rows: Rows) -> str:
     heads = ["odometry only", "places", "called second passes", "of these real", "contacts by chance", "called passes"]
     heads += ["kind is right", "kind is wrong", "left open"]
     lines = [_line(heads), _rule(len(heads))]
-    alone = [row for row in known(rows) if row["damage"] == "odometry only"]
+    alone = [row for row in known(rows) if row["damage"] in (ODOMETRY, SCALE)]
     for world in [*dict.fromkeys(row["world"] for row in alone), "all"]:
         own = [
             place

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import time
 from collections.abc import Iterator, Sequence
 from itertools import product
@@ -12,7 +13,7 @@ import numpy as np
 
 from pgti_gtsam.diagnosis import Diagnosis, diagnose
 from pgti_gtsam.errors import PgtiError
-from scenarios.diagnosis import covisible, damage, narrow, real, sparse
+from scenarios.diagnosis import covisible, damage, kitti, narrow, real, sparse
 from scenarios.diagnosis.courses import course
 from scenarios.diagnosis.damage import Case
 from scenarios.diagnosis.expectation import Expectation, can_be_matched, expected
@@ -70,6 +71,8 @@ def real_trials() -> list[Trial]:
     for name, kind in product(real.RADII, real.DAMAGES):
         n_draws = draws.get(kind, 1)
         found += [Trial(name, seed, REAL, kind) for seed in range(-(-n_draws // 4) if name in LARGE else n_draws)]
+    found += [Trial(kitti.NAME, 0, REAL, damage.ODOMETRY)]
+    found += [Trial(kitti.NAME, percent, REAL, damage.SCALE) for percent in kitti.PERCENT]
     return sorted(found, key=lambda trial: (trial.world in LARGE, trial.seed))
 
 
@@ -85,7 +88,8 @@ def case(trial: Trial, data: Path | None) -> Case:
     if trial.variant == REAL:
         if data is None:
             raise ValueError("expected the folder of the real graphs, got none; give --data")
-        return real.case(trial.world, trial.seed, trial.damage, data)
+        make_real = kitti.case if trial.world == kitti.NAME else functools.partial(real.case, trial.world)
+        return make_real(trial.seed, trial.damage, data)
     make = {SPARSE: sparse.case, COVISIBLE: covisible.case, NARROW: narrow.case}[trial.variant]
     return make(trial.world, trial.seed, trial.damage)
 
