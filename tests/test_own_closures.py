@@ -140,3 +140,37 @@ def test_neither_condemns_a_closure_of_an_intact_map(kind, n_true):
         assert len(own.slots) == n_true
         assert (own.log_odds > 0).all()
         assert not own.is_false.any()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_held_positions_contradict_a_closure_that_agrees_with_short_odometry(kind):
+    """A step of the second pass was measured 20 m short, and so was the closure: the receiver knows."""
+    n, in_space = 40, kind == "in space"
+    alone, held = (along_a_road(n, in_space=in_space, is_held=is_held) for is_held in (False, True))
+    assert own_closures(alone).log_odds.min() > 0
+    found = own_closures(held)
+    assert found.is_false.tolist() == [True, False, False]  # in the order of their keyframes
+    assert found.missed_m[0] == pytest.approx(20.0, abs=3.0)
+    places, true = (np.array([pose.translation() for pose in poses]) for poses in (found.settled.poses, held.poses))
+    assert np.median(np.linalg.norm(places - true, axis=1)) < 0.1 * RADIUS
+
+
+def along_a_road(n, *, in_space, is_held):
+    """The model of a drive of 2 m steps along a road and back, whose poses are true; the first closure is not."""
+    way = 2.0 * np.concatenate([np.arange(n), np.arange(n)[::-1]])
+    pose_of = (lambda x: gtsam.Pose3(gtsam.Rot3(), [x, 0, 0])) if in_space else (lambda x: gtsam.Pose2(x, 0, 0))
+    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    for k, x in enumerate(way):
+        values.insert(k, pose_of(x))
+        if is_held:
+            position = gtsam.PriorFactorPose3 if in_space else gtsam.PriorFactorPose2
+            graph.add(position(k, pose_of(x), gtsam.noiseModel.Isotropic.Sigma(6 if in_space else 3, 1.0)))
+    lost = n + n // 2
+    for k in range(2 * n - 1):
+        step = way[k + 1] - way[k]
+        graph.add(streets.between(k, k + 1, pose_of(step + (20.0 if k == lost else 0.0))))
+    for i, short in ((n - 5, 0.0), (n - 10, 0.0), (10, 20.0)):
+        j = 2 * n - 1 - i
+        graph.add(streets.between(i, j, pose_of(way[j] - way[i] + short)))
+    pose_graph = pgti.from_gtsam(graph, values, radii=RADIUS)
+    return drift_model(graph, values, pose_graph)

@@ -29,7 +29,8 @@ ANCHOR = 1e-4
 loose anchor would let the whole map swing, and what is asked for would drown in that."""
 
 HELD = 0.5
-"""Standard deviation of a position that a factor of one variable holds, in ρ: a satellite receiver, say."""
+"""Standard deviation of a position that a factor of one variable holds, in ρ: a satellite receiver, say. The estimate's
+position is held, for the estimate has weighed the factor already."""
 
 MAX_ITERATIONS = 40
 """Levenberg-Marquardt steps to the model's optimum. Where closures are false there is no good one, nor need."""
@@ -204,6 +205,7 @@ def _optimum(
     model: DriftModel, active: NDArray[np.bool_], component: NDArray[np.int32], start: Sequence[Any]
 ) -> list[Any]:
     """Poses by Levenberg-Marquardt, whose damping knows no units: lengths are in ρ. False closures bend the map."""
+    # ties and priors, all lengths in ρ
     inverse, unit = 1 / model.unit_m, np.ones(len(model.spread))
     unit[model.translation] = model.unit_m**2
     prior = gtsam.PriorFactorPose2 if model.is_planar else gtsam.PriorFactorPose3
@@ -216,6 +218,12 @@ def _optimum(
         )
     for i in _fixed(model, component).tolist():
         graph.push_back(prior(i, _scaled(start[i], inverse), noise(model.variances(ANCHOR, ANCHOR) / unit)))
+    position = gtsam.PoseTranslationPrior2D if model.is_planar else gtsam.PoseTranslationPrior3D
+    for i in np.flatnonzero(model.held).tolist():
+        near = gtsam.noiseModel.Isotropic.Sigma(2 if model.is_planar else 3, HELD)
+        graph.push_back(position(i, _scaled(model.poses[i], inverse), near))
+
+    # their optimum, in metres again
     for i, pose in enumerate(start):
         values.insert(i, _scaled(pose, inverse))
     found = optimised(graph, values, held=gtsam.NonlinearFactorGraph(), max_iterations=MAX_ITERATIONS, tolerance=1e-3)
@@ -251,7 +259,8 @@ def _fixed(model: DriftModel, component: NDArray[np.int32]) -> NDArray[np.int64]
 def _linearised(
     model: DriftModel, tree: EliminationTree, anchors: Array, active: NDArray[np.bool_], poses: Sequence[Any]
 ) -> tuple[BlockFactor, Array]:
-    """Σ Jᵀ R⁻¹ J, J = (−A, I), and −Σ Jᵀ R⁻¹ e, (n, d), of the active ties."""
+    """Σ Jᵀ R⁻¹ J, J = (−A, I), and −Σ Jᵀ R⁻¹ e, (n, d), of the active ties and of the positions that are held."""
+    # the ties
     ties = model.ties.only(active)
     pairs, carry, weights = ties.pairs, adjoints(poses, ties.pairs), 1 / ties.variances
     weighted, errors = weights[:, :, None] * carry, weights * errors_of(poses, ties.pairs, ties.measured)
@@ -260,4 +269,9 @@ def _linearised(
     np.add.at(diagonal, pairs[:, 1], weights[:, :, None] * np.eye(weights.shape[1]))
     np.add.at(pull, pairs[:, 0], (carry.swapaxes(1, 2) @ errors[:, :, None])[:, :, 0])
     np.add.at(pull, pairs[:, 1], -errors)
+
+    # held positions
+    for i in np.flatnonzero(model.held).tolist():
+        away = model.poses[i].translation() - poses[i].translation()
+        pull[i, model.translation] += poses[i].rotation().unrotate(away) / (HELD * model.unit_m) ** 2
     return factorise(tree, diagonal, pairs, -weighted.swapaxes(1, 2)), pull
