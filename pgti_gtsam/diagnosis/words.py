@@ -32,8 +32,8 @@ def place_words(place: Place, labels: Sequence[str]) -> tuple[str, str]:
             f"Look again at the closure {false}.",
         ),
         "undecided contact": (
-            f"{later} touches {earlier}: a second pass (probability {place.probability:.1f}), or a crossing that drift "
-            f"made ({drift}).",
+            f"{later} touches {earlier}: a second pass ({_percent(place.probability)}), or a crossing that drift made "
+            f"({drift}).",
             f"A match decides. {tie}",
         ),
         "missed closure": (f"{later} passes through {earlier} again, and nothing ties the two ({drift}).", tie),
@@ -149,6 +149,10 @@ def _tie(proposal: Any, labels: Sequence[str]) -> str:
     i, j = (labels[k] for k in proposal.keyframes)
     angle = min(3 * proposal.sigma_deg, 180.0)
     return f"Match {i} with {j} within {metres(proposal.search_m)} and {angle:.0f}° of the map, and tie them."
+
+
+def _percent(probability: float) -> str:
+    return "less than 1 %" if probability < 0.01 else f"{100 * probability:.0f} %"
 
 
 def _count(number: int, what: str) -> str:
