@@ -17,7 +17,9 @@ from pgti_gtsam.gate import (
 )
 from pgti_gtsam.integrity import BetaSplit, Distortion, Integrity, assess
 from pgti_gtsam.mend import Clouds, Mended, clouds_in, mend, scans_of
+from pgti_gtsam.merging import Gain, Joining, LinkVerdict, Merged, merge
 from pgti_gtsam.new_ties import NewTie, best_revisits
+from pgti_gtsam.parts import DiagnosisInParts, diagnose_parts
 from pgti_gtsam.pose_graph import Adaptation, EdgeSource, PoseGraph
 from pgti_gtsam.replay import Measure, Moment, Record, Replay, replay
 from pgti_gtsam.version import __version__
@@ -31,17 +33,22 @@ __all__ = [
     "ClosureFinding",
     "Clouds",
     "Diagnosis",
+    "DiagnosisInParts",
     "Distortion",
     "EdgeSource",
+    "Gain",
     "GateOptions",
     "GatedFixedLagSmoother",
     "GatedISAM2",
     "GatedUpdate",
     "Integrity",
+    "Joining",
     "Judgement",
+    "LinkVerdict",
     "LoopClosureGate",
     "Measure",
     "Mended",
+    "Merged",
     "Moment",
     "NewTie",
     "PgtiError",
@@ -55,9 +62,11 @@ __all__ = [
     "best_revisits",
     "clouds_in",
     "diagnose",
+    "diagnose_parts",
     "from_gtsam",
     "gate_graph",
     "mend",
+    "merge",
     "replay",
     "scans_of",
 ]

@@ -13,7 +13,7 @@ from typing import Any
 
 from pgti_gtsam.version import __version__
 
-VERSIONS = {"audit": 2, "closures": 4, "comparison": 1, "diffusion": 1, "fleet": 1, "mend": 1, "replay": 1}
+VERSIONS = {"audit": 2, "closures": 4, "comparison": 1, "diffusion": 1, "fleet": 1, "mend": 1, "parts": 1, "replay": 1}
 """Schemas of the documents that commands write."""
 
 

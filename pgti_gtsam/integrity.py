@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -114,6 +115,16 @@ class Distortion:
     def stable_score(self) -> float:
         """Largest stable score of any keyframe."""
         return float(self.stable_scores.max())
+
+    def scale(self, keyframe: int) -> Literal["local", "global"]:
+        """The half of the time grid in which the keyframe's ζ is larger."""
+        before, after = (
+            each[keyframe : keyframe + 1] for each in (self.signatures_pose_graph, self.signatures_merged_graph)
+        )
+        early, late = (
+            relative_distortion(before[:, part], after[:, part], self.norm)[0] for part in _halves(len(self.times))
+        )
+        return "global" if late > early else "local"
 
     def split(self, beta: float | None = None) -> BetaSplit:
         """Local and global part of the score (Eq. 19 and section 6.3.1).
@@ -291,6 +302,11 @@ def _local_and_global(n_times: int, beta: float) -> tuple[slice, slice]:
     """The two parts of a time grid, each of one time at least."""
     n_local = min(max(round(beta * n_times), 1), n_times - 1)
     return slice(n_local), slice(n_local, None)
+
+
+def _halves(n_times: int) -> tuple[slice, slice]:
+    """The early and the late half of a time grid."""
+    return slice(n_times // 2), slice(n_times // 2, None)
 
 
 def time_grid(kernel: HeatKernel, n_times: int) -> NDArray[np.float64]:

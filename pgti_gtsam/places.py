@@ -8,6 +8,7 @@ ties that are missing.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,6 @@ from scipy.sparse import csgraph
 from scipy.spatial import KDTree
 
 from pgti_gtsam.errors import NoRadiusError
-from pgti_gtsam.integrity import Integrity
 from pgti_gtsam.pair_codes import codes_of
 from pgti_gtsam.pose_graph import EdgeSource, PoseGraph
 from pgti_gtsam.support_graph import explained_overlaps
@@ -27,6 +27,35 @@ WINDOW = 5
 
 REACH = 5.0
 """The same in ρ travelled, where keyframes lie denser than one a free radius."""
+
+
+class Scored(Protocol):
+    """One graph against another, keyframe by keyframe: see `integrity.Distortion`."""
+
+    @property
+    def keyframe_scores(self) -> NDArray[np.float64]: ...  # noqa: D102
+    @property
+    def stable_scores(self) -> NDArray[np.float64]: ...  # noqa: D102
+    def scale(self, keyframe: int) -> Literal["local", "global"]: ...  # noqa: D102
+
+
+class Compared(Protocol):
+    """What a map's pose graph and its free space have in common, and what not: see `integrity.Integrity`."""
+
+    @property
+    def n_components_pose_graph(self) -> int: ...  # noqa: D102
+    @property
+    def merged_edges(self) -> NDArray[np.int64]: ...  # noqa: D102
+    @property
+    def fusion_edges(self) -> NDArray[np.int64]: ...  # noqa: D102
+    @property
+    def collision_edges(self) -> NDArray[np.int64]: ...  # noqa: D102
+    @property
+    def keyframe_scores(self) -> NDArray[np.float64]: ...  # noqa: D102
+    @property
+    def fusion(self) -> Scored: ...  # noqa: D102
+    @property
+    def collisions(self) -> Scored: ...  # noqa: D102
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -81,7 +110,7 @@ def tied_radius_m(pose_graph: PoseGraph) -> float:
     return float(np.median(distances[distances > 0]))
 
 
-def revisits(pose_graph: PoseGraph, integrity: Integrity, track: Track) -> list[Revisit]:
+def revisits(pose_graph: PoseGraph, integrity: Compared, track: Track) -> list[Revisit]:
     """The collisions of a map as revisits, those that resolve most overlaps first.
 
     The largest group of overlaps that lie beside each other on both stretches is taken for tied; overlaps that follow
@@ -96,6 +125,7 @@ def revisits(pose_graph: PoseGraph, integrity: Integrity, track: Track) -> list[
     n, odometry = len(pose_graph), pose_graph.edges[pose_graph.edge_sources & EdgeSource.ODOMETRY > 0]
     left = integrity.collision_edges
     known = np.concatenate([pose_graph.edges, integrity.fusion_edges])
+    known = known[_beside(n, left, odometry)[known].any(axis=1)]
     groups = neighbourhoods(left, places_on(pose_graph, track)).group_of
     parts = _parts(n, left, groups, odometry)
     found: list[tuple[tuple[int, int], Revisit]] = []
@@ -164,6 +194,15 @@ def _by(parts: NDArray[np.int64], chosen: NDArray[np.bool_]) -> list[NDArray[np.
     rows = np.flatnonzero(chosen)
     rows = rows[np.argsort(parts[rows], kind="stable")]
     return np.split(rows, np.flatnonzero(np.diff(parts[rows])) + 1)
+
+
+def _beside(n: int, overlaps: NDArray[np.int64], odometry: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Keyframes of some overlaps and their neighbours on the track, (n,): what explains an overlap has an end there."""
+    own = np.zeros(n, dtype=bool)
+    own[overlaps.ravel()] = True
+    found = own.copy()
+    found[odometry[own[odometry].any(axis=1)].ravel()] = True
+    return found
 
 
 def revisit(

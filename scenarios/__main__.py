@@ -25,6 +25,7 @@ from scenarios.diagnosis import tables as diagnosis_tables
 from scenarios.diagnosis import trials as diagnosis_trials
 from scenarios.evidence import calibration as reliability
 from scenarios.evidence import radius_loss, rise_fit
+from scenarios.fleet import commands as fleet_commands
 from scenarios.mend import figure as mended_figure
 from scenarios.mend import run as mending
 from scenarios.mend import tables as mended_tables
@@ -35,6 +36,9 @@ RESULTS = Path(__file__).parent / "results"
 QUICK = [name for name in METHODS if name != trials.SLOW]
 
 app = typer.Typer(add_completion=False, no_args_is_help=True, pretty_exceptions_enable=False, rich_markup_mode=None)
+
+
+fleet_commands.add_to(app)
 
 
 @app.command("list")

@@ -3,6 +3,7 @@
 import copy
 import csv
 import json
+import os
 import subprocess
 import sys
 import time
@@ -18,7 +19,7 @@ from pgti_gtsam import datasets, fleet
 from pgti_gtsam.diagnosis import diagnose
 from pgti_gtsam.errors import InvalidOptionError, InvalidValueError
 from pgti_gtsam.report.document import audit_document
-from pgti_gtsam.report.fleet import fleet_document, gravity, write_fleet_page
+from pgti_gtsam.report.fleet import fleet_document, gravity, write_fleet_page, write_table
 
 pytest.importorskip("dask.distributed", reason="dask.distributed is missing")
 LAP = 4 * 12
@@ -143,6 +144,17 @@ def test_a_scheduler_that_runs_elsewhere(tmp_path):
             process.wait(timeout=20)
 
 
+@pytest.mark.slow
+def test_two_workers_are_nearly_twice_as_fast(tmp_path):
+    load = os.getloadavg()[0]
+    if load > 0.5 or os.cpu_count() < 2:
+        pytest.skip(f"the machine is busy (load {load:.1f}) or has one core: nothing can be timed")
+    from scenarios.fleet import speedup
+
+    found = speedup.run(tmp_path, n_maps=12, n_pairs=3, tell=lambda line: None)
+    assert found["speed_up"] >= 1.7, found
+
+
 @pytest.fixture(scope="module")
 def document():
     world = driven(block(20, times=2), bias=0.001, noise=0.002)
@@ -211,6 +223,32 @@ def test_the_worst_map_comes_first_and_damage_ranks_maps():
     order = [row["collisions"] for row in sorted(rows, key=gravity)]
     assert order == sorted(order, reverse=True)
     assert np.all(np.diff(order) <= 0)
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet"])
+def test_the_ranking_is_a_table(tmp_path, suffix):
+    pandas = pytest.importorskip("pandas", reason="pandas is missing")
+    if suffix == ".parquet":
+        pytest.importorskip("pyarrow", reason="PyArrow is missing: pip install 'pgti-gtsam[parquet]'")
+    rows = hostile_rows()
+    rows[3] |= {"score": "infinite"}
+    path = tmp_path / f"maps{suffix}"
+    write_table(fleet_document(rows, {}, "maps"), path)
+    found = pandas.read_csv(path) if suffix == ".csv" else pandas.read_parquet(path)
+    assert found["map"].tolist()[0] == rows[11]["map"]
+    assert found["collisions"].dropna().tolist() == list(range(11, -1, -1))
+    assert found["failed"].notna().tolist() == [False] * 12 + [True]
+    if suffix == ".parquet":
+        assert np.isinf(found["score"]).sum() == 1
+
+
+def test_a_table_that_cannot_be_meant_is_refused(run, maps, tmp_path):
+    code, _, error = audit_many(run, maps, "--out", tmp_path / "out", "--table", tmp_path / "maps.xlsx")
+    assert code == 2
+    assert ".parquet" in error
+    code, _, error = audit_many(run, maps / "good.g2o", "--table", tmp_path / "maps.csv")
+    assert code == 2
+    assert "several maps" in error
 
 
 @needs_chromium

@@ -11,8 +11,7 @@ from typing import Annotated, Any
 import typer
 
 from pgti_gtsam import diagnosis, outputs
-from pgti_gtsam.adapter import from_gtsam
-from pgti_gtsam.cli.fleet import LimitMegabytes, LimitSeconds, Out, Scheduler, Workers, audit_many
+from pgti_gtsam.cli.fleet import LimitMegabytes, LimitSeconds, Out, Scheduler, TablePath, Workers, audit_many
 from pgti_gtsam.cli.options import (
     Beta,
     Cloud,
@@ -25,33 +24,22 @@ from pgti_gtsam.cli.options import (
     OneMap,
     Values,
     print_paths,
-    read_map,
-    split_names,
     terminal,
 )
+from pgti_gtsam.cli.parts import Parts, audited_in_parts, check_parts, tell_parts
+from pgti_gtsam.cli.prepared import AnyRadius, Links, Optimise, prepared
 from pgti_gtsam.cli.progress import stages
 from pgti_gtsam.datasets import Dataset, is_map, write_g2o
 from pgti_gtsam.diagnosis import Diagnosis
 from pgti_gtsam.diagnosis.proposals import proposal_graph
 from pgti_gtsam.diagnosis.sweep import radius_sweep
 from pgti_gtsam.errors import InvalidOptionError
-from pgti_gtsam.estimate import optimised
 from pgti_gtsam.fleet.comparison import GRAVITY
-from pgti_gtsam.places import tied_radius_m
-from pgti_gtsam.plain_text import visible
 from pgti_gtsam.report import scene
 from pgti_gtsam.report.document import Document, audit_document, sweep_rows, write_json
 from pgti_gtsam.report.html import write_page
-from pgti_gtsam.report.terminal import print_summary, print_sweep
-
-AnyRadius = Annotated[
-    str | None,
-    typer.Option(
-        metavar="METRES|auto",
-        help="Free distance around every keyframe; auto: the median distance of keyframes that closures tie.",
-    ),
-]
-Optimise = Annotated[bool, typer.Option("--optimise", help="Audit the optimum of the graph, not the stored estimate.")]
+from pgti_gtsam.report.merging import merging_record
+from pgti_gtsam.report.terminal import print_merging, print_summary, print_sweep
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -69,6 +57,7 @@ def audit(
     values: Values = None,
     loops: Loops = None,
     one_map: OneMap = False,
+    links: Links = None,
     ignore_unknown: IgnoreUnknown = False,
     radius: AnyRadius = None,
     cloud: Cloud = None,
@@ -90,7 +79,9 @@ def audit(
         typer.Option(metavar="VERDICT", help=f"Exit with code 1 from this on: {', '.join(GRAVITY[1:])}."),
     ] = None,
     fail_above: Annotated[float | None, typer.Option(help="Exit with code 1 if Λ is above this.")] = None,
+    parts: Parts = None,
     out: Out = None,
+    table: TablePath = None,
     scheduler: Scheduler = None,
     workers: Workers = 2,
     limit_s: LimitSeconds = 600.0,
@@ -103,8 +94,12 @@ def audit(
     files = MapFiles(files=file, values=values, loops=loops, one_map=one_map, ignore_unknown=ignore_unknown)
     files.check_outputs([json, html, proposals], cloud)
     _check_failures(fail_on, fail_above)
+    if links is not None and not one_map:
+        raise InvalidOptionError("expected --links with --one-map, got them alone: links lie between maps")
+    if table is not None and not _are_many(file, one_map=one_map):
+        raise InvalidOptionError("expected --table with several maps, got one; --json writes what is found of a map")
     if _are_many(file, one_map=one_map):
-        _check_alone(values=values, loops=loops, cloud=cloud, json=json, html=html, proposals=proposals)
+        _check_alone(values=values, loops=loops, cloud=cloud, json=json, html=html, proposals=proposals, parts=parts)
         words = _words(radius, edges, min_shared_landmarks, beta, optimise=optimise, ignore_unknown=ignore_unknown)
         audit_many(
             file or (),
@@ -115,12 +110,25 @@ def audit(
             limit_s=limit_s,
             limit_mb=limit_mb,
             fail_on=fail_on,
+            table=table,
         )
+        return
+
+    if parts is not None:
+        check_parts({"--html": html, "--proposals": proposals, "--radius-sweep": sweep, "--fail-above": fail_above})
+        with stages() as stage:
+            map_ = prepared(
+                files, radius, cloud, edges, min_shared_landmarks, optimise=optimise, stage=stage, links=links
+            )
+            document = audited_in_parts(map_, parts, scheduler, workers, stage)
+        tell_parts(document, json)
+        if _fails(document, fail_on, None):
+            raise typer.Exit(1)
         return
 
     # audit, and write what was asked for
     with stages() as stage:
-        audited = _audit(files, radius, cloud, edges, min_shared_landmarks, beta, optimise, stage)
+        audited = _audit(files, radius, cloud, edges, min_shared_landmarks, beta, optimise, stage, links)
         document = audited.document
         if sweep:
             swept = radius_sweep(
@@ -144,6 +152,8 @@ def audit(
 
     # show it
     console = terminal()
+    if "merging" in document:
+        print_merging(document["merging"], console)
     print_summary(document, console)
     if sweep:
         print_sweep(document, console)
@@ -187,47 +197,24 @@ def _audit(
     beta: float,
     optimise: bool,
     stage: Callable[[str], None],
+    links: Path | None = None,
 ) -> _Audited:
     """Read, optimise, find the radius, diagnose: numbered steps of every command that audits a map."""
-    # the map, or its optimum
-    stage("reading")
-    metres = None if radius in (None, "auto") else _metres(str(radius))
-    dataset, radii = read_map(files, metres, cloud)
-    notes, best = list(dataset.notes), dataset.values
-
-    if optimise:
-        stage("optimising")
-        best = optimised(dataset.graph, dataset.values)
-        before, after = dataset.graph.error(dataset.values), dataset.graph.error(best)
-        notes.append(f"the optimum is audited: error {before:.4g} as stored, {after:.4g} there")
-
-    # radii
-    adaptation: dict[str, Any] = {
-        "edges": split_names(edges),
-        "min_shared_landmarks": min_shared_landmarks,
-        "closures": dataset.closures,
-    }
-    if radius == "auto":
-        radii = tied_radius_m(from_gtsam(dataset.graph, best, radii=1.0, **adaptation))
-        notes.append(f"radius {radii:.3g} m around every keyframe: the median distance of keyframes that closures tie")
-    elif metres is not None:
-        notes.append(f"radius {metres:g} m around every keyframe is what --radius says; --radius-sweep tries others")
+    map_ = prepared(files, radius, cloud, edges, min_shared_landmarks, optimise=optimise, stage=stage, links=links)
 
     # diagnose, and keep the settings beside the result
-    found = diagnosis.diagnose(dataset.graph, best, radii=radii, beta=beta, progress=stage, **adaptation)
-    adapted = found.pose_graph.adaptation
-    options = {
-        "radius": radius if metres is None else metres,
-        "cloud": None if cloud is None else visible(cloud.name),
-        "edges": list(adapted.edges) if adapted else [],
-        "min_shared_landmarks": adapted.min_shared_landmarks if adapted else min_shared_landmarks,
+    found = diagnosis.diagnose(map_.dataset.graph, map_.values, beta=beta, progress=stage, **map_.arguments)
+    options = map_.options(found.pose_graph) | {
         "beta": beta,
         "n_times": len(found.integrity.times),
         "norm": found.integrity.norm,
-        "optimise": optimise,
     }
-    document = audit_document(found, name=dataset.title, file_format=dataset.format, notes=notes, options=options)
-    return _Audited(dataset=dataset, values=best, diagnosis=found, document=document)
+    document = audit_document(
+        found, name=map_.dataset.title, file_format=map_.dataset.format, notes=map_.notes, options=options
+    )
+    if map_.merged is not None:
+        document["merging"] = merging_record(map_.merged)
+    return _Audited(dataset=map_.dataset, values=map_.values, diagnosis=found, document=document)
 
 
 def _are_many(files: list[Path] | None, *, one_map: bool) -> bool:
@@ -260,13 +247,6 @@ def _words(
     return words + ["--optimise"] * optimise + ["--ignore-unknown"] * ignore_unknown
 
 
-def _metres(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        raise InvalidOptionError(f"expected metres or auto for --radius, got {text!r}") from None
-
-
 def _check_failures(fail_on: str | None, fail_above: float | None) -> None:
     if fail_on is not None and fail_on not in GRAVITY[1:]:
         raise InvalidOptionError(f"expected --fail-on {', '.join(GRAVITY[1:])}, got {fail_on!r}")
@@ -275,6 +255,6 @@ def _check_failures(fail_on: str | None, fail_above: float | None) -> None:
 
 
 def _fails(document: Document, fail_on: str | None, fail_above: float | None) -> bool:
-    score, level = document["summary"]["score"], document["verdict"]["level"]
+    score, level = document["summary"].get("score"), document["verdict"]["level"]
     too_high = fail_above is not None and (score == "infinite" or score > fail_above)
     return too_high or (fail_on is not None and GRAVITY.index(level) >= GRAVITY.index(fail_on))

@@ -14,13 +14,13 @@ from rich.table import Table
 from rich.text import Text
 
 from pgti_gtsam import encode, fleet, outputs
-from pgti_gtsam.cli.options import Terminal
+from pgti_gtsam.cli.options import Terminal, check_outputs
 from pgti_gtsam.cli.progress import counted
 from pgti_gtsam.errors import FileFormatError, InvalidOptionError
 from pgti_gtsam.fleet.comparison import GRAVITY
 from pgti_gtsam.plain_text import visible
 from pgti_gtsam.report.document import write_json
-from pgti_gtsam.report.fleet import fleet_document, write_csv, write_fleet_page
+from pgti_gtsam.report.fleet import check_table, fleet_document, write_csv, write_fleet_page, write_table
 from pgti_gtsam.report.web import require_schema
 
 Out = Annotated[
@@ -28,6 +28,10 @@ Out = Annotated[
 ]
 Scheduler = Annotated[
     str | None, typer.Option(help="Of several maps: address of a Dask scheduler; processes on this machine without.")
+]
+TablePath = Annotated[
+    Path | None,
+    typer.Option("--table", help="Of several maps: the ranking as .csv or .parquet (needs PyArrow), for pandas."),
 ]
 Workers = Annotated[int, typer.Option(min=1, help="Of several maps: processes on this machine.")]
 LimitSeconds = Annotated[float, typer.Option("--limit-s", help="Of several maps: seconds that each may take.")]
@@ -44,6 +48,7 @@ def audit_many(
     limit_s: float,
     limit_mb: float,
     fail_on: str | None,
+    table: Path | None = None,
 ) -> None:
     """The same audit of many maps: a ranking, a table, an index page, and a page for each.
 
@@ -63,6 +68,8 @@ def audit_many(
         Limits of each map: seconds, megabytes.
     fail_on : str, optional
         Verdict from which the exit code is 1.
+    table : Path, optional
+        Where the ranking goes as CSV or Parquet, beside the CSV in the folder.
     """
     if out is None:
         meant = f"the maps in {paths[0]}" if len(paths) == 1 else f"{len(paths)} maps"
@@ -72,6 +79,9 @@ def audit_many(
         )
     if not (limit_s > 0 and limit_mb > 0):
         raise InvalidOptionError(f"expected limits above zero, got {limit_s} s and {limit_mb} MB")
+    if table is not None:
+        check_table(table)
+        check_outputs([table], paths)
     out.mkdir(parents=True, exist_ok=True)
     maps, others = fleet.maps_in(paths)
     jobs = [
@@ -98,6 +108,8 @@ def audit_many(
     with outputs.together():
         write_json(document, out / "maps.json")
         write_csv(document, out / "maps.csv")
+        if table is not None:
+            write_table(document, table)
         write_fleet_page(document, out / "index.html")
     console = Terminal(highlight=False)
     _print_fleet(document, console)

@@ -3,6 +3,7 @@
 from pgti_gtsam.datasets.chain import chain_odometry, closure_slots
 from pgti_gtsam.datasets.dataset import Dataset
 from pgti_gtsam.datasets.g2o_writer import Written, write_g2o
+from pgti_gtsam.datasets.links import read_links
 from pgti_gtsam.datasets.one_map import read_one_map
 from pgti_gtsam.datasets.reader import BUILTIN, builtin, is_map, read, read_carmen
 from pgti_gtsam.datasets.subsample import subsample
@@ -17,6 +18,7 @@ __all__ = [
     "is_map",
     "read",
     "read_carmen",
+    "read_links",
     "read_one_map",
     "subsample",
     "write_g2o",

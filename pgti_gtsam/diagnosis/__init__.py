@@ -19,12 +19,13 @@ from pgti_gtsam.adapter import from_gtsam
 from pgti_gtsam.diagnosis import words
 from pgti_gtsam.diagnosis.contacts import Contacts
 from pgti_gtsam.diagnosis.evidence import counted_once
-from pgti_gtsam.diagnosis.records import ClosureFinding, Diagnosis, Place, Proposal
+from pgti_gtsam.diagnosis.records import ClosureFinding, Conclusion, Diagnosis, Place, Proposal
 from pgti_gtsam.errors import UnsolvableGraphError
 from pgti_gtsam.estimate import Convergence, convergence
 from pgti_gtsam.gate.drift_model import DriftModel, drift_model
 from pgti_gtsam.gate.own_closures import OwnClosures, own_closures
 from pgti_gtsam.integrity import assess
+from pgti_gtsam.places import Compared
 from pgti_gtsam.pose_graph import EdgeSource, PoseGraph
 from pgti_gtsam.track import track_of
 
@@ -69,30 +70,57 @@ def diagnose(
     )
 
     progress("checking the estimate")
-    step = _convergence(graph, values)
+    step = convergence_of(graph, values)
 
     progress(f"spectra of {len(pose_graph)} keyframes")
     integrity = assess(pose_graph, beta=beta)
 
+    found = concluded(graph, values, pose_graph, integrity, progress)
+    return Diagnosis(
+        verdict=found.verdict,
+        reason=found.reason,
+        places=found.places,
+        closures=found.closures,
+        pose_graph=pose_graph,
+        integrity=integrity,
+        convergence=step,
+        unit_m=found.unit_m,
+        n_chains=track_of(pose_graph).n_chains,
+    )
+
+
+def concluded(
+    graph: gtsam.NonlinearFactorGraph,
+    values: gtsam.Values,
+    pose_graph: PoseGraph,
+    compared: Compared,
+    progress: Callable[[str], None] = lambda step: None,
+) -> Conclusion:
+    """What follows from the overlaps of a map and from its ties.
+
+    Parameters
+    ----------
+    graph, values, progress
+        As in `diagnose`.
+    pose_graph : PoseGraph
+        The map as `from_gtsam` reads it.
+    compared : Compared
+        Its overlaps and scores.
+
+    Raises
+    ------
+    UnsolvableGraphError
+        As in `diagnose`.
+    """
     progress("weighing closures")
     model = drift_model(graph, values, counted_once(pose_graph))
     judged = own_closures(model)
 
     progress("places")
-    contacts = Contacts.of(pose_graph, integrity, model, judged)
+    contacts = Contacts.of(pose_graph, compared, model, judged)
     places, findings = tuple(contacts.places()), _findings(judged)
-    level, reason = words.verdict(integrity, places, findings, lacking=_lacking(pose_graph, model))
-    return Diagnosis(
-        verdict=level,
-        reason=reason,
-        places=places,
-        closures=findings,
-        pose_graph=pose_graph,
-        integrity=integrity,
-        convergence=step,
-        unit_m=model.unit_m,
-        n_chains=track_of(pose_graph).n_chains,
-    )
+    level, reason = words.verdict(compared, places, findings, lacking=_lacking(pose_graph, model))
+    return Conclusion(verdict=level, reason=reason, places=places, closures=findings, unit_m=model.unit_m)
 
 
 def _lacking(pose_graph: PoseGraph, model: DriftModel) -> int:
@@ -109,7 +137,14 @@ def _lacking(pose_graph: PoseGraph, model: DriftModel) -> int:
     return 0 if adapted.max_shared_landmarks >= needed else needed
 
 
-def _convergence(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> Convergence | None:
+def convergence_of(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> Convergence | None:
+    """How far the estimate is from an optimum; None where no step can be tried.
+
+    Parameters
+    ----------
+    graph, values
+        As in `diagnose`.
+    """
     try:
         return convergence(graph, values)
     except UnsolvableGraphError:  # a landmark without a value, say, which the audit does without

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,8 +18,17 @@ from pgti_gtsam.diagnosis.views import without_common_view
 from pgti_gtsam.gate.drift_model import DriftModel
 from pgti_gtsam.gate.own_closures import OwnClosures
 from pgti_gtsam.gate.settled import Settled
-from pgti_gtsam.integrity import Distortion, Integrity, relative_distortion
-from pgti_gtsam.places import WINDOW, Neighbourhoods, Revisit, neighbourhoods, places_on, revisit, revisits
+from pgti_gtsam.places import (
+    WINDOW,
+    Compared,
+    Neighbourhoods,
+    Revisit,
+    Scored,
+    neighbourhoods,
+    places_on,
+    revisit,
+    revisits,
+)
 from pgti_gtsam.pose_graph import PoseGraph
 from pgti_gtsam.spectral.laplacian import connected_components, laplacian
 from pgti_gtsam.track import Track, track_of
@@ -87,7 +95,7 @@ class Contacts:
     """
 
     pose_graph: PoseGraph
-    integrity: Integrity
+    integrity: Compared
     track: Track
     closures: OwnClosures
     settled: Settled
@@ -100,7 +108,7 @@ class Contacts:
     positions: NDArray[np.float64]
 
     @classmethod
-    def of(cls, pose_graph: PoseGraph, integrity: Integrity, model: DriftModel, closures: OwnClosures) -> Contacts:
+    def of(cls, pose_graph: PoseGraph, integrity: Compared, model: DriftModel, closures: OwnClosures) -> Contacts:
         """Group the collisions, sample the explained overlaps, and settle the drift model to be asked for both.
 
         Parameters
@@ -239,14 +247,14 @@ class Contacts:
     def _fusion(self) -> list[Place]:
         """The place where incomplete fusion changes the signatures most, if the change is notable."""
         fusion = self.integrity.fusion
-        if fusion.score < NOTABLE_FUSION or not len(self.far):
+        if not fusion.keyframe_scores.max() >= NOTABLE_FUSION or not len(self.far):
             return []
         peak = int(np.argmax(fusion.stable_scores[self.far].max(axis=1)))
         group_of = neighbourhoods(self.far, places_on(self.pose_graph, self.track), SAMPLED).group_of
         contact = revisit(self.pose_graph, self.track, self.far[group_of == group_of[peak]])
         return [self._place("incomplete fusion", contact, fusion)]
 
-    def _place(self, kind: Kind, contact: Revisit, distortion: Distortion) -> Place:
+    def _place(self, kind: Kind, contact: Revisit, distortion: Scored) -> Place:
         """A place of a kind, without its gain."""
         # its numbers
         members = contact.keyframes
@@ -257,7 +265,7 @@ class Contacts:
             score=float(distortion.keyframe_scores[members].max()),
             stable_score=float(distortion.stable_scores[worst]),
             worst=worst,
-            scale=_scale(distortion, worst),
+            scale=distortion.scale(worst),
             probability=1.0 if kind == "incomplete fusion" else self._probability(contact),
             allowance_m=0.0 if kind == "incomplete fusion" else self._allowance_m(contact.closest),
             reach_m=self._reach_m(contact.closest),
@@ -347,19 +355,6 @@ def _tied_near_by(
     return np.asarray((distances <= 1.0) & (radii[overlaps].sum(axis=1) >= CLEAR * model.unit_m))
 
 
-def _scale(distortion: Distortion, keyframe: int) -> Literal["local", "global"]:
-    """The half of the time grid in which the keyframe's ζ is larger."""
-    before, after = (
-        each[keyframe : keyframe + 1] for each in (distortion.signatures_pose_graph, distortion.signatures_merged_graph)
-    )
-    half = len(distortion.times) // 2
-    early, late = (
-        relative_distortion(before[:, part], after[:, part], distortion.norm)[0]
-        for part in (slice(half), slice(half, None))
-    )
-    return "global" if late > early else "local"
-
-
 def _gains(n: int, edges: Pairs, pairs: list[tuple[int, int]]) -> list[float]:
     """ln(1 + R) of some pairs, R the effective resistance between the two keyframes; infinite between parts."""
     if not pairs:
@@ -367,7 +362,8 @@ def _gains(n: int, edges: Pairs, pairs: list[tuple[int, int]]) -> list[float]:
     _, part = connected_components(n, edges)
     ground = np.zeros(n)
     ground[np.unique(part, return_index=True)[1]] = 1.0
-    factor = splu(sparse.csc_array(laplacian(n, edges) + sparse.diags_array(ground)))
+    matrix = sparse.csc_array(laplacian(n, edges) + sparse.diags_array(ground))
+    factor = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
     found = []
     for i, j in pairs:
         current = np.zeros(n)

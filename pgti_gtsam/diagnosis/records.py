@@ -144,6 +144,17 @@ class ClosureFinding:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Conclusion:
+    """What overlaps and ties say of a map: the attributes of the same names in `Diagnosis`."""
+
+    verdict: Level
+    reason: str
+    places: tuple[Place, ...]
+    closures: tuple[ClosureFinding, ...]
+    unit_m: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Diagnosis:
     """The result of `diagnose`.
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from pgti_gtsam.diagnosis.records import ClosureFinding, Level, Place
 from pgti_gtsam.gate.decision import metres
-from pgti_gtsam.integrity import Integrity
+from pgti_gtsam.places import Compared
 
 
 def place_words(place: Place, labels: Sequence[str]) -> tuple[str, str]:
@@ -96,7 +96,7 @@ def closure_sentence(missed_m: float, missed_deg: float, allowed_m: float, *, is
 
 
 def verdict(
-    integrity: Integrity, places: Sequence[Place], closures: Sequence[ClosureFinding], *, lacking: int = 0
+    integrity: Compared, places: Sequence[Place], closures: Sequence[ClosureFinding], *, lacking: int = 0
 ) -> tuple[Level, str]:
     """The verdict with its reason. Passes without a common view make no map incomplete: no camera can tie such passes.
 

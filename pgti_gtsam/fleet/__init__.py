@@ -4,9 +4,10 @@ Every map has a process of its own, with limits of time and memory, so that a ma
 harms no other. Rows are lines of JSON, appended as soon as they are known, and a run goes on where it stopped.
 """
 
+from pgti_gtsam.fleet.cluster import spread
 from pgti_gtsam.fleet.comparison import Comparison, compare
 from pgti_gtsam.fleet.jobs import AuditJob, audited
 from pgti_gtsam.fleet.maps import maps_in
 from pgti_gtsam.fleet.runner import run
 
-__all__ = ["AuditJob", "Comparison", "audited", "compare", "maps_in", "run"]
+__all__ = ["AuditJob", "Comparison", "audited", "compare", "maps_in", "run", "spread"]

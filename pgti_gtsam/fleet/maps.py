@@ -45,4 +45,4 @@ def _inside(folder: Path) -> Iterator[tuple[Path, bool]]:
         if each.is_dir():
             yield from _inside(each)
         else:
-            yield each, is_map(each)
+            yield each, each.is_file() and is_map(each)  # a pipe is none, and reading from one may never end

@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from pgti_gtsam import encode
-from pgti_gtsam.errors import InvalidOptionError, MissingDependencyError
+from pgti_gtsam.errors import InvalidOptionError
+from pgti_gtsam.fleet.cluster import connected
 
 Row = dict[str, Any]
 
@@ -105,24 +106,9 @@ def _computed(
     options: Mapping[str, Any],
 ) -> Iterator[tuple[str, Row]]:
     """Rows in order of completion."""
-    try:
-        import dask
-        from dask.distributed import Client, LocalCluster, as_completed
-    except ImportError as error:
-        raise MissingDependencyError(
-            f"dask.distributed cannot be loaded ({error}): install it with  pip install 'pgti-gtsam[fleet]'"
-        ) from error
-    cluster = None
-    if scheduler is None:
-        dask.config.set({"logging.distributed": "critical"})  # a worker that is told to end complains of it
-        cluster = LocalCluster(
-            n_workers=workers, threads_per_worker=1, dashboard_address=":0", silence_logs=logging.CRITICAL
-        )
-    try:
-        client = Client(scheduler or cluster, timeout=10)
-    except OSError as error:
-        raise InvalidOptionError(f"expected a Dask scheduler at {scheduler}, got no answer: {error}") from error
-    with client:
+    with connected(scheduler, workers) as client:
+        from dask.distributed import as_completed
+
         # nobody keeps a future that is done, else a killed worker's would be computed again
         futures = client.map(row, [wanted[key] for key in missing], pure=False, **options)
         keys = {future.key: key for future, key in zip(futures, missing, strict=True)}
@@ -130,5 +116,3 @@ def _computed(
         del futures
         for future, found in finished:
             yield keys[future.key], found
-    if cluster is not None:
-        cluster.close()

@@ -14,7 +14,7 @@ TERMS = (
     "Log odds of true against false, by the prediction of the other ties and, where that leaves doubt, by the free "
     "space that comes into contact."
 )
-_VERDICT_COLOURS = {"accepted": "green", "undecided": "yellow", "rejected": "red"}
+VERDICT_COLOURS = {"accepted": "green", "undecided": "yellow", "rejected": "red"}
 
 
 def print_heading(name: str, what: str, notes: Sequence[str], console: Console) -> None:
@@ -52,7 +52,7 @@ def print_decisions(records: Sequence[Mapping[str, Any]], console: Console) -> N
     for record, pair in zip(records, pairs, strict=True):
         known = () if record["is_true"] is None else ("known ", _known(record), ": ")
         said = Text.assemble(
-            (f"{record['verdict']:9}", _VERDICT_COLOURS[record["verdict"]]),
+            (f"{record['verdict']:9}", VERDICT_COLOURS[record["verdict"]]),
             f"  {pair:{width}}  {percent(record):>5}  ",
             f"Λ_glob {_change(record['global_score'])}  " if is_scored else "",
             *known,
@@ -82,7 +82,7 @@ def print_closures(records: Sequence[Mapping[str, Any]], console: Console) -> No
     for record in records[:MAX_CLOSURES]:
         terms = record["terms"]
         table.add_row(
-            Text(record["verdict"], style=_VERDICT_COLOURS[record["verdict"]]),
+            Text(record["verdict"], style=VERDICT_COLOURS[record["verdict"]]),
             Text(_pair(record)),
             percent(record),
             _share(record["log_odds"]),
@@ -107,7 +107,7 @@ def print_tally(records: Sequence[Mapping[str, Any]], console: Console, *, secon
     seconds : float
         Time of the run.
     """
-    count = {verdict: sum(record["verdict"] == verdict for record in records) for verdict in _VERDICT_COLOURS}
+    count = {verdict: sum(record["verdict"] == verdict for record in records) for verdict in VERDICT_COLOURS}
     console.print()
     told = ", ".join(f"{number} {verdict}" for verdict, number in count.items())
     console.print(Text(f"{len(records)} closures in {seconds:.1f} s: {told}"))

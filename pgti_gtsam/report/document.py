@@ -18,9 +18,10 @@ from numpy.typing import NDArray
 from pgti_gtsam import encode, outputs
 from pgti_gtsam.diagnosis.records import ClosureFinding, Diagnosis, Place, Proposal
 from pgti_gtsam.diagnosis.sweep import Swept, fragile
+from pgti_gtsam.estimate import Convergence
 from pgti_gtsam.integrity import BetaSplit, Distortion
 from pgti_gtsam.optimality import GraphOptimality
-from pgti_gtsam.pose_graph import key_label
+from pgti_gtsam.pose_graph import PoseGraph, key_label
 from pgti_gtsam.report.digits import in_stable_digits, packable
 
 MAX_SIGNATURES = 5000
@@ -60,7 +61,7 @@ def audit_document(
         "input": {"name": name, "format": file_format, "notes": list(notes)},
         "options": dict(options or {}),
         "adaptation": None if adaptation is None else asdict(adaptation),
-        "estimate": _estimate(diagnosis),
+        "estimate": estimate_record(diagnosis.convergence, diagnosis.unit_m),
         "verdict": {"level": diagnosis.verdict, "text": diagnosis.reason},
         "summary": _summary(diagnosis),
         "optimality": {
@@ -68,14 +69,14 @@ def audit_document(
             "weighted": None if integrity.optimality.weighted is None else _optimality(integrity.optimality.weighted),
         },
         "beta_sweep": [_split(integrity.split(beta)) for beta in SWEPT_BETAS],
-        "places": [_place(rank, place, diagnosis) for rank, place in enumerate(diagnosis.places, start=1)],
-        "closures": [_closure(rank, closure) for rank, closure in enumerate(diagnosis.closures, start=1)],
+        "places": [place_record(rank, place, pose_graph) for rank, place in enumerate(diagnosis.places, start=1)],
+        "closures": [closure_record(rank, closure) for rank, closure in enumerate(diagnosis.closures, start=1)],
         "keyframes": {
             "label": pose_graph.labels,
             "position": pose_graph.positions.tolist(),
             "radius": pose_graph.radii.tolist(),
-            "score": _numbers(integrity.keyframe_scores),
-            "collision_score": _numbers(integrity.collisions.keyframe_scores),
+            "score": numbers(integrity.keyframe_scores),
+            "collision_score": numbers(integrity.collisions.keyframe_scores),
             "stable_score": integrity.stable_scores.tolist(),
         },
         "edges": {
@@ -116,8 +117,15 @@ def write_json(document: Mapping[str, Any], path: Path) -> None:
     outputs.write_text(path, encode.line(document))
 
 
-def _estimate(diagnosis: Diagnosis) -> Document | None:
-    step = diagnosis.convergence
+def estimate_record(step: Convergence | None, unit_m: float) -> Document | None:
+    """How far an estimate is from an optimum.
+
+    Parameters
+    ----------
+    step : Convergence or None
+    unit_m : float
+        ρ.
+    """
     if step is None:
         return None
     return {
@@ -125,7 +133,7 @@ def _estimate(diagnosis: Diagnosis) -> Document | None:
         "error_after_step": step.error_after,
         "step_m": step.step_m,
         "keyframe": step.keyframe,
-        "is_optimum": step.is_optimum(diagnosis.unit_m),
+        "is_optimum": step.is_optimum(unit_m),
     }
 
 
@@ -173,8 +181,16 @@ def _optimality(compared: GraphOptimality) -> Document:
     return {name: asdict(getattr(compared, name)) for name in ("pose_graph", "merged_graph", "change")}
 
 
-def _place(rank: int, place: Place, diagnosis: Diagnosis) -> Document:
-    pose_graph = diagnosis.pose_graph
+def place_record(rank: int, place: Place, pose_graph: PoseGraph) -> Document:
+    """A place as documents have it.
+
+    Parameters
+    ----------
+    rank : int
+        From one on.
+    place : Place
+    pose_graph : PoseGraph
+    """
     return {
         "rank": rank,
         "kind": place.kind,
@@ -214,7 +230,15 @@ def _proposal(proposal: Proposal) -> Document:
     }
 
 
-def _closure(rank: int, closure: ClosureFinding) -> Document:
+def closure_record(rank: int, closure: ClosureFinding) -> Document:
+    """A closure as documents have it.
+
+    Parameters
+    ----------
+    rank : int
+        From one on.
+    closure : ClosureFinding
+    """
     return {
         "rank": rank,
         "slot": closure.slot,
@@ -247,5 +271,6 @@ def _packed(array: NDArray[np.float64]) -> Document:
     return {"dtype": "float32", "shape": list(data.shape), "base64": base64.b64encode(data.tobytes()).decode()}
 
 
-def _numbers(values: NDArray[np.float64]) -> list[float | str | None]:
+def numbers(values: NDArray[np.float64]) -> list[float | str | None]:
+    """An array as JSON has numbers."""
     return [encode.number(value) for value in values.tolist()]

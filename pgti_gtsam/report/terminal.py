@@ -10,7 +10,7 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
-from pgti_gtsam.report.closure_text import MAX_CLOSURES, percent
+from pgti_gtsam.report.closure_text import MAX_CLOSURES, VERDICT_COLOURS, percent
 
 MAX_PLACES = 8
 _COLOURS = {"consistent": "green", "incomplete": "cyan", "undecided": "yellow", "inconsistent": "red"}
@@ -43,6 +43,66 @@ def print_summary(document: Mapping[str, Any], console: Console) -> None:
             *([_section("Closures, least probable first", _own_closures(document))] if document["closures"] else []),
             _section("Scores", _scores(document)),
             _section("Read", _read(document)),
+        )
+    )
+
+
+def print_merging(merging: Mapping[str, Any], console: Console) -> None:
+    """Print which links fused which maps.
+
+    Parameters
+    ----------
+    merging : mapping
+        As `merging_record` makes it.
+    console : Console
+    """
+    # the links
+    table, links = Table.grid(padding=(0, 2)), merging["links"]
+    for link in links[:MAX_CLOSURES]:
+        name = Text(" – ".join(link["keyframes"]), style=VERDICT_COLOURS[link["verdict"]])
+        table.add_row(name, link["verdict"], percent(link), Text(link["sentence"]))
+    if len(links) > MAX_CLOSURES:
+        table.add_row(Text(f"and {len(links) - MAX_CLOSURES} more", style="dim"))
+
+    # the maps
+    maps = _pairs()
+    for joining in merging["order"]:
+        sure = f"{len(joining['links'])} links, probability {joining['probability']:.4f}"
+        maps.add_row(Text(" + ".join(joining["maps"])), Text(sure))
+    for gain in merging["gains"]:
+        surer = f"{gain['n_links']} links; drift between its keyframes {gain['before_m']:.2g} m alone, "
+        maps.add_row(Text(gain["map"]), Text(f"{surer}{gain['after_m']:.2g} m now"))
+    console.print(Group(_section("Links between maps", table), _section("Maps, joined in this order", maps), Text("")))
+
+
+def print_parts(document: Mapping[str, Any], console: Console) -> None:
+    """Print what an audit in parts found, and what it took.
+
+    Parameters
+    ----------
+    document : mapping
+        As `parts_document` makes it.
+    console : Console
+    """
+    summary, parts = document["summary"], document["parts"]
+    rows = {
+        "keyframes": f"{summary['n_keyframes']} in {len(parts)} parts, the largest with "
+        f"{max(part['n_keyframes'] for part in parts)}",
+        "overlaps": f"{summary['n_fusion_edges']} that follow from ties, {summary['n_collision_edges']} that nothing "
+        "explains",
+        "memory": f"{max(part['peak_mb'] for part in parts):.0f} MB for a part, {summary['peak_mb']:.0f} MB where all "
+        "comes together",
+        **{step: f"{seconds:.3g} s" for step, seconds in summary["seconds"].items()},
+    }
+    table = _pairs()
+    for name, value in rows.items():
+        table.add_row(Text(name), Text(value))
+    console.print(
+        Group(
+            _heading(document),
+            *([_section("Where, and what to do", _places(document))] if document["places"] else []),
+            *([_section("Closures, least probable first", _own_closures(document))] if document["closures"] else []),
+            _section("Parts", table),
         )
     )
 

@@ -15,6 +15,11 @@ as ab is an edge of L'. By Cauchy and Schwarz the error of the change is at most
 
 at every vertex of the graph, the change outside U taken as zero. (Walks killed at the rim of a set: Grigor'yan,
 Introduction to Analysis on Graphs, 2018, doi:10.1090/ulect/071; the bound is derived here.)
+
+The killed kernel alone, `kernel_within`, is below the graph's, by at most ε_i(t)² at a vertex i, with ε_i(t) the
+probability that a walk from i has left U by the time t. For the heat that is missing has left U and come back. It has
+left with probability ε_i at most; and from a vertex w outside it is at i after a time s with probability
+K_wi(s) = K_iw(s), which is at most that of having left from i by then.
 """
 
 from __future__ import annotations
@@ -91,6 +96,50 @@ def local_change(
         if change.bound.max() <= tolerance or len(vertices) < size or size >= max_vertices:
             return change
         size = min(2 * size, max_vertices)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class KernelWithin:
+    """Heat kernel of some vertices of a graph, from which heat leaves for good.
+
+    Attributes
+    ----------
+    diagonal : (m, n_times) float
+        Of the killed kernel: K_ii(t) of the graph is from here on up to `most`.
+    left : (m, n_times) float
+        Probability that a walk has left the vertices by the time t.
+    """
+
+    diagonal: FloatArray
+    left: FloatArray
+
+    @property
+    def most(self) -> FloatArray:
+        """Upper bound of the graph's K_ii(t), (m, n_times)."""
+        return np.asarray(self.diagonal + self.left**2)
+
+
+def kernel_within(block: sparse.csc_array, times: FloatArray) -> KernelWithin:
+    """K_ii(t) on a part of a graph, and how much the rest of the graph can add.
+
+    Parameters
+    ----------
+    block : (m, m) sparse
+        Rows and columns of the part in the graph's unweighted Laplacian: row sums count the edges that lead out.
+    times : (n_times,) float
+        Positive.
+    """
+    grounds = np.maximum(block.sum(axis=0), 0.0)
+    upper = sparse.triu(block, k=1).tocoo()
+    tree = analyse(block.shape[0], np.stack([upper.row, upper.col], axis=1))
+    shifts, fit = _fitted(tuple(times.tolist()), 2.0 ** np.ceil(np.log2(max(2 * block.diagonal().max(), 1.0))))
+    factor = factorise(FrontEntries.of(tree, block, grounds), shifts)
+    escape = solve(factor, grounds[tree.order, None])[:, tree.positions, 0]
+    inside = (((1 - escape) / shifts[:, None]).T @ fit.weights).real + fit.constants
+    return KernelWithin(
+        diagonal=np.maximum(_sum(inverse_diagonal(factor), fit) - fit.largest_error, 0.0),
+        left=np.clip(1 - inside + fit.largest_error, 0.0, 1.0),
+    )
 
 
 def _ball(laplacian: sparse.csc_array, seeds: IntArray, size: int) -> IntArray:
