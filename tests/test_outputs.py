@@ -161,6 +161,28 @@ def test_a_disk_that_fills_up_loses_nothing(two, kept):
     assert not parts(two[0].parent)
 
 
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux" or os.geteuid() != 0, reason="only root mounts a disk")
+def test_full_disks_lose_nothing(tmp_path):
+    """A disk of 16 MB that is filled until less than two files of 6 MB fit, at 20 levels."""
+    subprocess.run(["mount", "-t", "tmpfs", "-o", "size=16m", "tmpfs", tmp_path], check=True)
+    try:
+        paths = [tmp_path / "map.json", tmp_path / "map.html"]
+        for level in range(20):
+            for path in paths:
+                path.write_bytes(OLD)
+            disk = os.statvfs(tmp_path)
+            filled = disk.f_bavail * disk.f_bsize - int(2 * len(NEW) * level / 20)
+            (tmp_path / "filled").write_bytes(bytes(filled))
+            with pytest.raises(OutputError, match="No space left on device; nothing was written"):
+                put(*paths)
+            assert [path.read_bytes() for path in paths] == [OLD, OLD]
+            assert not parts(tmp_path)
+            (tmp_path / "filled").unlink()
+    finally:
+        subprocess.run(["umount", tmp_path], check=True)
+
+
 def replace_for_ever(paths, ready):
     """Replace two large files together, again and again."""
     sys.stderr = open(os.devnull, "w")  # noqa: SIM115  where an interrupt leaves its traceback
