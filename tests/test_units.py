@@ -14,6 +14,7 @@ from test_datasets_rtabmap import truth
 
 import pgti_gtsam as pgti
 from pgti_gtsam.datasets import write_g2o
+from pgti_gtsam.factor_graphs import without
 from pgti_gtsam.report.digits import packable, stable
 
 UTM = np.array([5e5, 5e6, 100.0])  # m
@@ -75,6 +76,28 @@ def judged(graph, values, radius):
         [*(own[slot] for slot in slots), *(gated.decisions[slot].probability for slot in slots)],
         diagnosis.integrity.score,
     )
+
+
+@pytest.mark.parametrize("spatial", [False, True])
+def test_units_change_no_decision_of_a_gated_smoother(spatial):
+    expected = smoothed(spatial, 1.0)
+    assert {told[0] for told in expected} == {"accepted", "rejected"}
+    for scale in (1e3, 1e-3):
+        found = smoothed(spatial, scale)
+        assert [told[:2] for told in found] == [told[:2] for told in expected]
+        np.testing.assert_allclose([told[2] for told in found], [told[2] for told in expected], rtol=0, atol=1e-6)
+
+
+def smoothed(spatial, scale):
+    """Verdict on each closure, how many were judged together, probability: of closures that come at once."""
+    graph, values = laps(spatial, scale)
+    offered = [graph.at(slot) for slot in range(59, graph.size())]
+    steps = without(graph, range(59, graph.size()))
+    pose = values.atPose3(0) if spatial else values.atPose2(0)
+    prior = gtsam.PriorFactorPose3 if spatial else gtsam.PriorFactorPose2
+    steps.push_back(prior(0, pose, steps.at(0).noiseModel()))
+    decisions = pgti.GatedISAM2(radii=scale * RADIUS).update(steps, values, offered).decisions
+    return [(decision.verdict, decision.judged_with, decision.probability) for decision in decisions]
 
 
 def test_seeds_of_hashes_and_threads_change_no_byte(tmp_path):
