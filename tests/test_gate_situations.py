@@ -123,6 +123,21 @@ def test_a_revisit_that_the_free_space_refused_is_asked_again_when_another_is_ti
     assert GATE.evaluate_group(world.graph, world.values, closures, RADIUS).accepted == accepted
 
 
+@pytest.mark.parametrize("many", [1, 3])
+def test_where_many_are_open_few_are_weighed_at_a_time_with_the_same_verdicts(monkeypatch, many):
+    """True and false closures, revisits far enough apart to be judged one by one."""
+    world = driven(block(60, times=3), bias=0.001, noise=0.003)
+    true = [world.closure(k, k + lap) for k in range(0, LAP, 16) for lap in (LAP, 2 * LAP)]
+    false = [world.closure(k, k + LAP + 40, NOWHERE) for k in range(8, LAP - 40, 16)]
+    closures = [each for pair in zip(true, [*false, *true[: len(true) - len(false)]], strict=True) for each in pair]
+    whole = GATE.evaluate_group(world.graph, world.values, closures, RADIUS)
+    monkeypatch.setattr(admission, "WEIGHED", many)
+    monkeypatch.setattr(admission, "AT_ONCE", many)
+    by_parts = GATE.evaluate_group(world.graph, world.values, closures, RADIUS)
+    assert by_parts.accepted == whole.accepted
+    assert 0 < len(whole.accepted) < len(closures)
+
+
 def test_a_closure_that_repairs_a_collision_in_a_whole_graph():
     """The way back lies on the way out until the closure comes: it is accepted, in time order as well."""
     world = driven(straight(60) + turn(np.pi / 2) + straight(8) + turn(np.pi / 2) + straight(60), bias=0.005)

@@ -35,6 +35,9 @@ AT_ONCE = 48
 DOUBT = 10.0
 """Log odds of the drift beyond which the free space is not asked."""
 
+WEIGHED = 4 * AT_ONCE
+"""Revisits, the surest when last weighed, that are weighed again before all others are."""
+
 HOPELESS = -100.0
 """Log odds below which a revisit is not weighed again: no tie elsewhere brings it back."""
 
@@ -60,7 +63,8 @@ class Weight:
     ties : (g,) int
         Of the drift model.
     drift : float
-        Log odds by the drift when tied, or in the end; NaN where no tie leads between the keyframes.
+        Log odds by the drift when tied, or in the end; NaN where no tie leads between the keyframes, infinite before
+        the first weighing.
     missed_m, missed_rad, allowed_m : float
         Difference between the middle member and the prediction, and the prediction's standard deviation.
     rise : Change or None
@@ -68,7 +72,7 @@ class Weight:
     """
 
     ties: Ties
-    drift: float = np.nan
+    drift: float = np.inf
     missed_m: float = np.nan
     missed_rad: float = np.nan
     allowed_m: float = np.inf
@@ -182,11 +186,15 @@ class Admission:
         return sum(len(each.ties) for each in self.weights)
 
     def _surest(self) -> list[Weight]:
-        """Revisits that pass in turn, each given the earlier."""
-        asked = [each for each in self._open() if not each.drift < HOPELESS]
-        self._weigh_all(asked)
-        passing = sorted((each for each in asked if each.drift > self.needed), key=lambda each: -each.drift)[:AT_ONCE]
-        return self._one_by_one(passing) if passing else []
+        """Revisits that pass in turn, each given the earlier. Where many are open, few are weighed at a time."""
+        hopeful = [each for each in self._open() if not each.drift < HOPELESS]
+        new = [each for each in hopeful if each.drift == np.inf]
+        for asked in (new or _surest_first(hopeful)[:WEIGHED], hopeful):
+            self._weigh_all(asked)
+            passing = _surest_first([each for each in asked if each.drift > self.needed])[:AT_ONCE]
+            if passing:
+                return self._one_by_one(passing)
+        return []
 
     def _weigh_all(self, asked: list[Weight]) -> None:
         """By the present map: single closures at once, revisits in turn."""
@@ -336,3 +344,8 @@ def some_of(ties: Ties) -> Ties:
     if len(ties) <= MEMBERS:
         return ties
     return np.asarray(ties[np.unique(np.linspace(0, len(ties) - 1, MEMBERS).round().astype(np.int64))])
+
+
+def _surest_first(weights: list[Weight]) -> list[Weight]:
+    """By the drift's log odds when last weighed; revisits that nothing predicts come last."""
+    return sorted(weights, key=lambda each: -np.nan_to_num(each.drift, nan=-np.inf))
