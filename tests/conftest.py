@@ -1,5 +1,6 @@
 """What tests of the command line share. Two processes test at once, with one BLAS thread each."""
 
+import logging
 import os
 import sys
 
@@ -15,6 +16,8 @@ from pgti_gtsam.cli import progress
 def run(monkeypatch, capsys):
     """Run the command line in this process: exit code, standard output, standard error without progress."""
     monkeypatch.setattr(progress, "EVERY_S", float("inf"))
+    log = logging.getLogger("pgti_gtsam")
+    level, handlers, propagates = log.level, log.handlers, log.propagate
 
     def call(*words):
         monkeypatch.setattr(sys, "argv", ["pgti-gtsam", *map(str, words)])
@@ -22,4 +25,6 @@ def run(monkeypatch, capsys):
             cli.main()
         return stop.value.code or 0, *capsys.readouterr()
 
-    return call
+    yield call
+    log.setLevel(level)
+    log.handlers, log.propagate = handlers, propagates

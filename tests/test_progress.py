@@ -35,16 +35,6 @@ def slow(run, monkeypatch):
     monkeypatch.setattr(progress, "EVERY_S", 0.0)
 
 
-@pytest.fixture(autouse=True)
-def _own_log():
-    """The package's log as before, after a command has set it."""
-    log = logging.getLogger("pgti_gtsam")
-    level, handlers, propagates = log.level, log.handlers, log.propagate
-    yield
-    log.setLevel(level)
-    log.handlers, log.propagate = handlers, propagates
-
-
 def test_a_quick_run_says_nothing(run, square):
     code, _, err = run("audit", square, "--radius", 1)
     assert (code, err) == (0, "")
