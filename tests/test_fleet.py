@@ -98,6 +98,10 @@ def test_what_cannot_be_meant_is_refused(run, maps, tmp_path):
     assert audit_many(run, maps, "--out", tmp_path / "out", "--html", tmp_path / "x.html")[0] == 2
     with pytest.raises(InvalidOptionError, match="does not exist"):
         fleet.maps_in([tmp_path / "nowhere"])
+    (tmp_path / "pipes").mkdir()
+    os.mkfifo(tmp_path / "pipes" / "endless.g2o")
+    with pytest.raises(InvalidOptionError, match="no reader"):
+        fleet.maps_in([tmp_path / "pipes"])  # nobody writes into it: reading would never end
     (tmp_path / "empty").mkdir()
     with pytest.raises(InvalidOptionError, match="no reader"):
         fleet.maps_in([tmp_path / "empty"])

@@ -79,9 +79,10 @@ def audited(job: AuditJob) -> Row:
             command,
             capture_output=True,
             text=True,
+            encoding="utf-8",
             errors="replace",
             timeout=job.limit_s,
-            env={**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"},
+            env={**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "PYTHONIOENCODING": "utf-8"},
         )
     except subprocess.TimeoutExpired:
         return row | limits | {"failed": f"no verdict after {job.limit_s:g} s"}

@@ -6,17 +6,18 @@ const judged = fleet.maps.filter((map) => map.failed === undefined);
 const failed = fleet.maps.filter((map) => map.failed !== undefined);
 const fileName = (path) => path.split("/").pop();
 
-/** The way of a map, fitted into a small canvas. */
+/** The way of a map, fitted into a small canvas that is no higher than the way. */
 function picture({ way }) {
-  const canvas = element("canvas", { width: 160, height: 96, className: "thumbnail" });
   const low = [0, 1].map((k) => Math.min(...way.map((point) => point[k])));
   const size = [0, 1].map((k) => Math.max(...way.map((point) => point[k])) - low[k]);
   const scale = Math.min(148 / (size[0] || 1), 84 / (size[1] || 1));
+  const canvas = element("canvas", { width: 160, height: 12 + scale * size[1], className: "thumbnail" });
+  const bottom = canvas.height - 6;
   const context = canvas.getContext("2d");
   context.strokeStyle = getComputedStyle(document.body).color;
   context.lineWidth = 1.5;
   context.beginPath();
-  way.forEach(([x, y], k) => context[k ? "lineTo" : "moveTo"](6 + scale * (x - low[0]), 90 - scale * (y - low[1])));
+  way.forEach(([x, y], k) => context[k ? "lineTo" : "moveTo"](6 + scale * (x - low[0]), bottom - scale * (y - low[1])));
   context.stroke();
   return canvas;
 }
@@ -26,12 +27,12 @@ const least = ({ least_probable: closure }) =>
 
 const columns = [
   ["map", (map) => element("a", { href: encodeURIComponent(map.page), textContent: fileName(map.map), title: map.map }), (map) => map.map],
-  ["way", picture, (map) => map.keyframes],
   ["verdict", (map) => {
     const verdict = element("strong", { className: "kind" }, map.verdict);
-    verdict.dataset.verdict = map.verdict;
+    verdict.dataset.level = map.verdict;
     return verdict;
   }, (map) => -gravity.indexOf(map.verdict)],
+  ["way", picture, (map) => map.keyframes],
   ["Λ", (map) => short(map.score), (map) => -scoreOf(map.score)],
   ["collisions", (map) => count(map.collisions), (map) => -map.collisions],
   ["places", (map) => Object.entries(map.places).map(([kind, n]) => `${n} × ${kind}`).join(", ") || "none",
@@ -68,6 +69,6 @@ byId("notes").replaceChildren(...notesOf(fleet.input));
 byId("filter").addEventListener("input", (event) => { state.filter = event.target.value.toLowerCase(); fillMaps(); });
 byId("failures").hidden = failed.length === 0;
 byId("failed-table").replaceChildren(
-  table({ columns: ["map", "why"], rows: failed.map((map) => [map.map, map.failed]) }));
+  table({ columns: ["map", "why"], rows: failed.map((map) => [element("span", { textContent: fileName(map.map), title: map.map }), map.failed]) }));
 fillMaps();
 document.body.dataset.ready = "true";
