@@ -202,8 +202,25 @@ def test_what_is_no_record_is_refused():
         pgti.replay([(graph, values)], values, radii=0.5)
     with pytest.raises(PgtiError, match="moment 1 of the record"):
         pgti.replay([(graph, values), (graph, gtsam.Values())], radii=0.5)
-    with pytest.raises(PgtiError, match="GatedISAM2"):
+    with pytest.raises(PgtiError, match="a gated smoother"):
         pgti.Record().note(graph)
+
+
+def test_a_fixed_lag_smoother_is_replayed_with_all_its_track():
+    """Of the moments of a short window, and of plain iSAM2, the graphs are of all keyframes so far."""
+    world, record, plain = driven(straight(60), noise=0.005), pgti.Record(), pgti.Record()
+    gated, isam = pgti.GatedFixedLagSmoother(gtsam.IncrementalFixedLagSmoother(5.0), radii=0.5), gtsam.ISAM2()
+    for k in range(20):
+        factors, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+        factors.push_back(world.graph.at(k - 1) if k else gtsam.PriorFactorPose2(0, world.truth[0], NOISE))
+        values.insert(k, world.values.atPose2(k))
+        gated.update(factors, values, {k: float(k)})
+        isam.update(factors, values)
+        record.note(gated)
+        plain.note(isam)
+    assert gated.calculateEstimate().size() < 10
+    for replay in (pgti.replay(record), pgti.replay(plain, radii=0.5)):
+        assert replay.curve("n_keyframes").tolist() == list(range(1, 21))
 
 
 def test_a_gated_smoother_is_replayed_as_it_was(tmp_path):

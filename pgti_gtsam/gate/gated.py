@@ -13,7 +13,7 @@ from pgti_gtsam.adapter import check_radii
 from pgti_gtsam.adapter.values import read_keyframes
 from pgti_gtsam.checks import shown
 from pgti_gtsam.errors import InvalidClosureError, InvalidOptionError
-from pgti_gtsam.factor_graphs import Closure, check_map, closure_graphs, factors_of, graph_of, keys_of, without
+from pgti_gtsam.factor_graphs import Closure, check_map, closure_graphs, factors_of, graph_of, joined, keys_of, without
 from pgti_gtsam.gate.decision import ClosureDecision
 from pgti_gtsam.gate.gate import LoopClosureGate
 from pgti_gtsam.gate.grown_map import GrownMap
@@ -150,6 +150,10 @@ class GatedSmoother(ABC):
     def estimate(self) -> gtsam.Values:
         """The estimate of the whole map."""
         return self._map.calculateEstimate()
+
+    def factors(self) -> gtsam.NonlinearFactorGraph:
+        """The factors of the whole map with the admitted closures, in a graph that later updates leave alone."""
+        return joined(self._map.getFactorsUnsafe())
 
     @property
     def admitted(self) -> dict[int, tuple[int, ...]]:

@@ -35,18 +35,22 @@ class Record(Sequence[Map]):
 
         Parameters
         ----------
-        smoother : GatedISAM2 or gtsam.ISAM2
+        smoother : GatedISAM2, GatedFixedLagSmoother or gtsam.ISAM2
             Stays untouched. The factors are those that are in: closures that a gate keeps out, or takes out again, are
             not.
 
         Raises
         ------
         InvalidGraphError
-            Neither of the two.
+            Another object.
         """
-        if not hasattr(smoother, "getFactorsUnsafe") or not hasattr(smoother, "calculateEstimate"):
-            raise InvalidGraphError(f"expected a GatedISAM2 or a gtsam.ISAM2, got {shown(smoother)}")
-        self.moments.append((joined(smoother.getFactorsUnsafe()), smoother.calculateEstimate()))
+        if hasattr(smoother, "factors") and hasattr(smoother, "estimate"):
+            moment = smoother.factors(), smoother.estimate()
+        elif hasattr(smoother, "getFactorsUnsafe"):
+            moment = joined(smoother.getFactorsUnsafe()), smoother.calculateEstimate()
+        else:
+            raise InvalidGraphError(f"expected a gated smoother or a gtsam.ISAM2, got {shown(smoother)}")
+        self.moments.append(moment)
         self.radii = getattr(smoother, "radii", self.radii)
 
     def __len__(self) -> int:
