@@ -7,6 +7,7 @@ from pathlib import Path
 import gtsam
 import numpy as np
 import pytest
+from browser import dom_of_page, needs_chromium, rows_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import linalg
@@ -19,6 +20,7 @@ from pgti_gtsam.errors import (
     NoPoseError,
     UnsolvableGraphError,
 )
+from pgti_gtsam.report.heat import heat_document, write_heat_page
 
 DATA = Path(__file__).parents[2] / "shared" / "data" / "pose_graphs"
 SETTINGS = settings(max_examples=30, deadline=None)
@@ -273,6 +275,20 @@ def test_the_command_writes_json_and_a_page(tmp_path, monkeypatch, capsys):
     assert "Heat left at keyframes" in page
     assert 'src="http' not in page
     assert "Gauss-Newton" in capsys.readouterr().out
+    assert not any("e-1" in text for row in found["findings"] for text in row)  # rounding is no finding
+
+
+@needs_chromium
+def test_the_page_draws_three_plots_and_the_findings(tmp_path):
+    dataset = datasets.read(gtsam.findExampleDataFile("pose3example.txt"))
+    found = diffusion.study(dataset.graph, dataset.values)
+    write_heat_page(heat_document(found, name="<i>five</i>", file_format=dataset.format), tmp_path / "heat.html")
+    dom = dom_of_page(tmp_path / "heat.html")
+    assert 'data-ready="true"' in dom
+    assert "data-errors" not in dom
+    assert dom.count('class="main-svg"') >= 3
+    assert "<i>five</i>" not in dom
+    assert any("Eq. 11" in text for _, text in rows_of(dom, "findings"))
 
 
 @pytest.mark.parametrize("name", ["MIT", "intel", "parking-garage", "sphere2500"])

@@ -45,7 +45,7 @@ def diffusion(
         stage("reading")
         dataset, _ = read_map(files, None, None)
         found = study(dataset.graph, dataset.values, stage)
-        document = heat_document(found, dataset.title)
+        document = heat_document(found, name=dataset.title, file_format=dataset.format, notes=dataset.notes)
         with outputs.together():
             if json is not None:
                 write_json(document, json)

@@ -1,22 +1,23 @@
-"""A heat study: a record for JSON, and a page of figures drawn from the record."""
+"""A heat study as a JSON document, and the page drawn from the document."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import plotly.graph_objects as go
-from plotly.subplots import make_subplots
 
 from pgti_gtsam import encode, outputs
 from pgti_gtsam.diffusion import Study
+from pgti_gtsam.report import web
 from pgti_gtsam.report.digits import in_stable_digits
+
+_SCRIPTS = ("text.js", "errors.js", "plots.js", "heat.js")
 
 
 @in_stable_digits
-def heat_document(study: Study, name: str) -> dict[str, Any]:
+def heat_document(study: Study, *, name: str, file_format: str, notes: Sequence[str] = ()) -> dict[str, Any]:
     """Everything found, ready for JSON; numbers that do not exist are null.
 
     The keys a program would ask for are at the top level: `laplacian_defect_body`, `laplacian_defect_spatial`,
@@ -25,14 +26,16 @@ def heat_document(study: Study, name: str) -> dict[str, Any]:
     Parameters
     ----------
     study : Study
-    name : str
-        Name of the map.
+    name, file_format : str
+        Name of the map, and its file format.
+    notes : sequence of str
+        Notes on the input.
     """
     eq11 = study.equation_11
     body = study.body
-    return {
+    document: dict[str, Any] = {
         **encode.heading("diffusion"),
-        "name": name,
+        "input": {"name": name, "format": file_format, "notes": list(notes)},
         "group": body.group,
         "n_keyframes": len(body.keys),
         "n_other_variables": len(body.other_keys),
@@ -83,6 +86,7 @@ def heat_document(study: Study, name: str) -> dict[str, Any]:
             )
         },
     }
+    return document | {"findings": _findings(document)}
 
 
 _MIDDLE = 20
@@ -93,49 +97,60 @@ def _largest(found: Any) -> float | None:
     return float(np.max(found)) if len(found) else None
 
 
-def write_heat_page(document: Mapping[str, Any], path: Path) -> None:
-    """Write the figures to an HTML file that needs no network.
+def _findings(document: Mapping[str, Any]) -> list[tuple[str, str, str]]:
+    """What was found, the number, and its meaning."""
+    exponents = document["spreading_exponents"]
+    others = document["n_other_variables"]
+    rows = [
+        ("keyframes", f"{document['n_keyframes']} {document['group']}", f"{document['n_edges']} pairs exchange heat"),
+        ("parts", f"{document['parts']}", f"{len(document['grounds_added'])} held for this study, as no factor does"),
+        *([("marginalised", f"{others}", "landmarks and other variables")] if others else []),
+        ("defect, GTSAM's frame", _short(document["laplacian_defect_body"]), "0 for a block Laplacian"),
+        ("defect, spatial frame", _short(document["laplacian_defect_spatial"]), "Eq. 12 holds where 0"),
+        (
+            "Eq. 11, A = −B",
+            _short(document["equation_11_antisymmetry"]),
+            f"worst of {document['equation_11_factors']} between factors",
+        ),
+        ("steady state, Gauss-Newton", _short(document["steady_state_error"]), "distance relative to the step"),
+        (
+            "scalar Laplacian as a proxy",
+            _short(document["proxy_rank_correlation"]),
+            "rank correlation of heat left",
+        ),
+        (
+            "arrival ~ hops to the power",
+            ", ".join(f"{frame} {value:.1f}" for frame, value in exponents.items() if value is not None) or "–",
+            "2 is heat, 4 is bending",
+        ),
+    ]
+    for run in document["optimisers"]:
+        rows.append((run["method"], *_first_step(run)))
+    return rows
+
+
+def _first_step(run: Mapping[str, Any]) -> tuple[str, str]:
+    if not run["energies"]:
+        return "none", "the optimiser found the graph singular"
+    at = run["first_step_is_flow_at"]
+    time = "the end" if at == "infinite" else f"t = {_short(at)}"
+    return time, f"where its first step is, missed by {_short(run['first_step_missed_by'])}"
+
+
+def _short(value: float | None) -> str:
+    """A number to three digits; below a thousand millionths a number is rounding."""
+    return "–" if value is None else "< 1e-9" if 0 < abs(value) < 1e-9 else f"{value:.3g}"
+
+
+def write_heat_page(document: Mapping[str, Any], path: Path | str) -> None:
+    """Write an HTML file that needs no network; raises as `web.assembled` does.
 
     Parameters
     ----------
     document : mapping
         As `heat_document` makes it.
-    path : Path
+    path : Path or str
     """
-    figure = make_subplots(
-        rows=1,
-        cols=3,
-        subplot_titles=("Energy along the flow", "Heat left at keyframes", "When half of a shift has arrived"),
-    )
-    flow, proxy = document["flow"], document["proxy"]
-    figure.add_scatter(x=flow["times"], y=flow["energies"], mode="lines", name="heat flow", row=1, col=1)
-    figure.add_scatter(
-        x=proxy["scalar"],
-        y=proxy["block"],
-        text=proxy["keyframes"],
-        mode="markers",
-        name="keyframes",
-        marker={"size": 5},
-        row=1,
-        col=2,
-    )
-    for frame, found in document["spreading"].items():
-        figure.add_scatter(x=found["hops"], y=found["arrivals"], mode="lines+markers", name=frame, row=1, col=3)
-    figure.update_xaxes(type="log", title_text="time, 1/H", row=1, col=1)
-    figure.update_yaxes(type="log", title_text="½‖e + Jδ‖²", row=1, col=1)
-    figure.update_xaxes(title_text="by the scalar Laplacian", row=1, col=2)
-    figure.update_yaxes(title_text="by H", row=1, col=2)
-    figure.update_xaxes(type="log", title_text="hops", row=1, col=3)
-    figure.update_yaxes(type="log", title_text="time, each on its own clock", row=1, col=3)
-    correlation = f"{document['proxy_rank_correlation']:.3g}"
-    figure.update_layout(
-        title={"text": f"{_plain(document['name'])}: rank correlation of the scalar Laplacian {correlation}"},
-        template="plotly_white",
-        height=520,
-    )
-    outputs.write_text(path, go.Figure(figure).to_html(include_plotlyjs=True, full_html=True))
-
-
-def _plain(name: str) -> str:
-    """A file's name that a page shows as it is, whatever it holds."""
-    return name.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
+    web.require_schema(document, "diffusion")
+    page = web.assembled(document, what="the heat view", body="heat.html", first="findings", scripts=_SCRIPTS)
+    outputs.write_text(path, page)

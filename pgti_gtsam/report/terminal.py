@@ -279,51 +279,7 @@ def print_heat(document: Mapping[str, Any], console: Console) -> None:
     table.add_column(style="dim", no_wrap=True)
     table.add_column()
     table.add_column(style="dim")
-    for row in _heat_rows(document):
+    for row in document["findings"]:
         table.add_row(*(Text(cell) for cell in row))
-    console.print(Text(document["name"], style="bold"))
+    console.print(Text(document["input"]["name"], style="bold"))
     console.print(table)
-
-
-def _heat_rows(document: Mapping[str, Any]) -> list[tuple[str, str, str]]:
-    exponents = document["spreading_exponents"]
-    others = document["n_other_variables"]
-    rows = [
-        ("keyframes", f"{document['n_keyframes']} {document['group']}", f"{document['n_edges']} pairs exchange heat"),
-        ("parts", f"{document['parts']}", f"{len(document['grounds_added'])} held for this study, as no factor does"),
-        *([("marginalised", f"{others}", "landmarks and other variables")] if others else []),
-        ("defect, GTSAM's frame", _short(document["laplacian_defect_body"]), "0 for a block Laplacian"),
-        ("defect, spatial frame", _short(document["laplacian_defect_spatial"]), "Eq. 12 holds where 0"),
-        (
-            "Eq. 11, A = −B",
-            _short(document["equation_11_antisymmetry"]),
-            f"worst of {document['equation_11_factors']} between factors",
-        ),
-        ("steady state, Gauss-Newton", _short(document["steady_state_error"]), "distance relative to the step"),
-        (
-            "scalar Laplacian as a proxy",
-            _short(document["proxy_rank_correlation"]),
-            "rank correlation of heat left",
-        ),
-        (
-            "arrival ~ hops to the power",
-            ", ".join(f"{frame} {value:.1f}" for frame, value in exponents.items() if value is not None) or "–",
-            "2 is heat, 4 is bending",
-        ),
-    ]
-    for run in document["optimisers"]:
-        rows.append((run["method"], *_first_step(run)))
-    return rows
-
-
-def _first_step(run: Mapping[str, Any]) -> tuple[str, str]:
-    if not run["energies"]:
-        return "none", "the optimiser found the graph singular"
-    at = run["first_step_is_flow_at"]
-    time = "the end" if at == "infinite" else f"t = {_short(at)}"
-    return time, f"where its first step is, missed by {_short(run['first_step_missed_by'])}"
-
-
-def _short(value: float | None) -> str:
-    """A number to three digits; below a thousand millionths a number is rounding."""
-    return "–" if value is None else "< 1e-9" if 0 < abs(value) < 1e-9 else f"{value:.3g}"
