@@ -186,6 +186,15 @@ def test_a_smart_factor_is_triangulated_and_one_that_cannot_be_is_counted():
     assert adapted.adaptation.keyframes_without_radius == 1
 
 
+def test_a_smart_factor_out_of_an_archive_is_triangulated_anew():
+    graph, read = graph_of(smart(X(0), X(2)), between(0, 1), between(1, 3)), gtsam.NonlinearFactorGraph()
+    expected = pgti.from_gtsam(graph, LINE)
+    read.deserialize(graph.serialize())
+    adapted = pgti.from_gtsam(read, LINE)
+    assert adapted.radii == pytest.approx(expected.radii, rel=1e-6)
+    assert adapted.adaptation.n_landmarks == 1
+
+
 def test_a_smart_stereo_factor_is_triangulated():
     unstable = pytest.importorskip("gtsam_unstable")
     factor = unstable.SmartStereoProjectionPoseFactor(gtsam.noiseModel.Isotropic.Sigma(3, 1.0))

@@ -6,16 +6,12 @@ from pathlib import Path
 import gtsam
 import numpy as np
 import pytest
-from hypothesis import settings
-from hypothesis import strategies as st
-from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 from streets import RADIUS, between, block, driven, straight
 
 from pgti_gtsam.errors import (
     InvalidClosureError,
     InvalidOptionError,
     MissingValueError,
-    PgtiError,
     UnsolvableGraphError,
 )
 from pgti_gtsam.factor_graphs import graph_of, slots_of
@@ -330,95 +326,3 @@ def test_the_examples_of_gtsam_run_with_the_gate_in_front(name, monkeypatch):
     exec(gated, {"__name__": "__main__", "GatedISAM2": lambda *given: made.append(GatedISAM2(*given)) or made[-1]})
     pyplot.close("all")
     assert made[0].estimate().size() > 2
-
-
-class GatedSmoother(RuleBasedStateMachine):
-    """Drives around a block, offering closures true and false, retracting some, and failing in between."""
-
-    @initialize(seed=st.integers(0, 3))
-    def start(self, seed):
-        self.world = driven(block(20, times=2), bias=0.002, noise=0.005, seed=seed)
-        self.isam = driven_to(self.world, LAP)
-        self.last = LAP
-        self.closures = []
-
-    @precondition(lambda self: self.last < 2 * LAP - 2)
-    @rule(data=st.data())
-    def drive(self, data):
-        closures = []
-        if data.draw(st.booleans()):
-            closures.append(self.world.closure(self.last + 1 - LAP, self.last + 1))
-        if data.draw(st.booleans()):
-            closures.append(self.world.closure(data.draw(st.integers(0, 9)), data.draw(st.integers(20, 30)), NOWHERE))
-        self.offer(step(self.world, self.last + 1), closures)
-        self.last += 1
-
-    @rule(back=st.integers(0, 5), copies=st.integers(1, 2))
-    def close(self, back, copies):
-        self.offer((None, None), [self.world.closure(self.last - back - LAP + 5, self.last - back)] * copies)
-
-    def offer(self, new, closures):
-        update = self.isam.update(*new, closures)
-        self.closures += closures
-        assert [bool(slots) for slots in update.slots] == [d.accepted for d in update.decisions]
-
-    @precondition(lambda self: self.isam.admitted)
-    @rule(data=st.data())
-    def retract(self, data):
-        number = data.draw(st.sampled_from(sorted(self.isam.admitted)))
-        self.isam.retract(number)
-        assert number not in self.isam.admitted
-
-    @rule(kind=st.sampled_from(["unknown", "empty", "nan", "again", "loose", "retract"]))
-    def fail(self, kind):
-        before = state(self.isam)
-        bad = {
-            "unknown": lambda: self.isam.update(closures=[self.world.closure(3, 9), self.unknown()]),
-            "empty": lambda: self.isam.update(closures=[gtsam.NonlinearFactorGraph()]),
-            "nan": lambda: self.isam.update(closures=[self.world.closure(3, 20, gtsam.Pose2(np.nan, 0, 0))]),
-            "again": lambda: self.isam.update(*step(self.world, 3)),
-            "loose": lambda: self.isam.update(step(self.world, 2 * LAP)[0]),
-            "retract": lambda: self.isam.retract(len(self.closures)),
-        }
-        with pytest.raises(PgtiError):
-            bad[kind]()
-        assert state(self.isam) == before
-
-    def unknown(self):
-        closure = gtsam.NonlinearFactorGraph()
-        closure.push_back(between(3, 4711, NOWHERE))
-        return closure
-
-    @invariant()
-    def slots_hold_the_admitted_closures(self):
-        if not hasattr(self, "isam"):
-            return
-        graph = self.isam.smoother.getFactorsUnsafe()
-        for number, (slot,) in self.isam.admitted.items():
-            assert graph.at(slot).equals(self.closures[number].at(0), 0.0)
-        filled = sum(graph.at(slot) is not None for slot in range(graph.size()))
-        assert filled == 1 + self.last + len(self.isam.admitted)
-
-    @invariant()
-    def estimate_is_the_optimum_of_what_is_in(self):
-        if not hasattr(self, "isam"):
-            return
-        graph = gtsam.NonlinearFactorGraph()
-        graph.push_back(gtsam.PriorFactorPose2(0, self.world.truth[0], ORIGIN))
-        for k in range(self.last):
-            graph.push_back(self.world.graph.at(k))
-        for number in self.isam.admitted:
-            graph.push_back(self.closures[number])
-        rehearsal = gtsam.ISAM2(self.isam.smoother)
-        for _ in range(8):
-            rehearsal.update()
-        found = rehearsal.calculateEstimate()
-        parameters = gtsam.LevenbergMarquardtParams()
-        parameters.setRelativeErrorTol(1e-14)
-        parameters.setAbsoluteErrorTol(1e-14)
-        best = gtsam.LevenbergMarquardtOptimizer(graph, found, parameters).optimize()
-        assert found.equals(best, 1e-5)
-
-
-TestGatedSmoother = GatedSmoother.TestCase
-TestGatedSmoother.settings = settings(derandomize=True, deadline=None, max_examples=12, stateful_step_count=12)

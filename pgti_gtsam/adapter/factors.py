@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pgti_gtsam.adapter.families import Family, family_of
 from pgti_gtsam.adapter.values import Keyframes, landmark_position
 from pgti_gtsam.errors import MissingValueError, UnusedValueError
-from pgti_gtsam.factor_graphs import measured_from, slots_of
+from pgti_gtsam.factor_graphs import keys_of, measured_from, slots_of
 from pgti_gtsam.sightings import Sightings
 
 Vector = NDArray[np.float64]
@@ -256,11 +256,28 @@ def _triangulated(factor: Any, values: gtsam.Values) -> Vector:
     """Position of a smart factor's landmark, NaN where triangulation fails.
 
     A smart factor remembers its last triangulation, here as in every `graph.error(values)`; the wheel
-    cannot copy smart factors.
+    cannot copy smart factors. A smart factor out of an archive remembers that the triangulation was valid and not
+    where, until the keyframes move.
     """
+    result = _point(factor, values)
+    try:
+        return np.asarray(result.get()) if result.valid() else _NOWHERE
+    except RuntimeError:
+        moved = gtsam.VectorValues()
+        for key in keys_of(factor):
+            moved.insert(key, np.full(values.dims()[key], _MOVED))
+        _point(factor, values.retract(moved))
+        result = _point(factor, values)
+        return np.asarray(result.get()) if result.valid() else _NOWHERE
+
+
+def _point(factor: Any, values: gtsam.Values) -> Any:
+    """The triangulation of a smart factor, made anew where the keyframes have moved."""
     if type(factor).__name__.startswith("SmartStereo"):
         factor.error(values)  # triangulates; this class offers no point(values)
-        result = factor.point()
-    else:
-        result = factor.point(values)
-    return np.asarray(result.get()) if result.valid() else _NOWHERE
+        return factor.point()
+    return factor.point(values)
+
+
+_MOVED = 0.01
+"""A motion, m and rad, after which a smart factor triangulates anew."""

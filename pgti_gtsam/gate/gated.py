@@ -117,7 +117,7 @@ class GatedSmoother(ABC):
         """An update with closures: of the new and the waiting, those that pass together."""
         # judge the closures, and those that wait again
         offered = closure_graphs(closures)
-        waiting = {number: offer.closure for number, offer in enumerate(self._offers) if offer.is_waiting}
+        waiting = {n: offer.closure for n, offer in enumerate(self._offers) if offer.is_waiting and self._has(offer)}
         judged = self._kept.judged(self.gate, news, waiting, offered)
         changed = {number: decision for number, decision in judged.waiting.items() if decision.verdict != "undecided"}
 
@@ -314,10 +314,16 @@ class GatedSmoother(ABC):
         """First and last keyframe of every closure on the track, by number, at the places of some keyframes."""
         ends = {}
         for number, offer in enumerate(self._offers):
+            if not self._has(offer):
+                continue
             places = [place[key] for factor in factors_of(offer.closure) for key in keys_of(factor) if key in place]
             if places:
                 ends[number] = (min(places), max(places))
         return ends
+
+    def _has(self, offer: Offer) -> bool:
+        """Whether all variables of a closure are there: a caller may have marginalised some."""
+        return all(self._map.valueExists(key) for factor in factors_of(offer.closure) for key in keys_of(factor))
 
     def _factors_without(self, closures: Iterable[int]) -> gtsam.NonlinearFactorGraph:
         graph = self._map.getFactorsUnsafe()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import gtsam
 
@@ -55,8 +55,7 @@ class GatedUpdate:
         return tuple(n for n, decision in zip(self.closures, self.decisions, strict=True) if not decision.accepted)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Step:
+class Step(NamedTuple):
     """The result of a step of a smoother.
 
     Attributes
@@ -109,22 +108,32 @@ class Offer:
         return [slot for slot, factor in pairs if slot < graph.size() and graph.at(slot) is factor]
 
 
-def made_anew(smoother: gtsam.ISAM2, size: int, new: set[int]) -> gtsam.ISAM2:
-    """A smoother of the first factors of another smoother, in the same slots, and of its values without the new values.
+def made_anew(
+    smoother: gtsam.ISAM2, size: int, came: gtsam.NonlinearFactorGraph, new: set[int], gone: Mapping[int, Any]
+) -> gtsam.ISAM2:
+    """A smoother of the factors and values that another smoother had before a step, in the same slots.
 
     Parameters
     ----------
     smoother : gtsam.ISAM2
+        As the step left the smoother.
     size : int
-        Number of slots to keep.
+        Number of slots before the step.
+    came : gtsam.NonlinearFactorGraph
+        New factors of the step: these may stand in slots that were empty before.
     new : set of int
-        Keys to leave out.
+        Keys of the step's new values.
+    gone : mapping from int to factor
+        Factors that the step took out, by slot.
     """
     values = gtsam.Values(smoother.getLinearizationPoint())
     for key in new & set(values.keys()):
         values.erase(key)
-    graph = smoother.getFactorsUnsafe()
-    return smoother_of([graph.at(slot) for slot in range(size)], values, smoother.params())
+    graph, added = smoother.getFactorsUnsafe(), factors_of(came)
+    slots = [None if any(factor is each for each in added) else factor for factor in map(graph.at, range(size))]
+    for slot, factor in gone.items():
+        slots[slot] = factor
+    return smoother_of(slots, values, smoother.params())
 
 
 def smoother_of(slots: Sequence[Any], values: gtsam.Values, parameters: gtsam.ISAM2Params) -> gtsam.ISAM2:

@@ -155,12 +155,18 @@ class GatedISAM2(GatedSmoother):
         removed: Sequence[int] = (),
     ) -> Step:
         """A step of the smoother; a failed step makes the smoother anew."""
-        size = self.smoother.getFactorsUnsafe().size()
+        # what comes and goes
+        graph = self.smoother.getFactorsUnsafe()
         options = {**options, "removeFactorIndices": list(removed)} if removed else options
+        came = graphs[0] if len(graphs) == 1 else joined(*graphs)
+        gone = {slot: graph.at(slot) for slot in options.get("removeFactorIndices", ()) if slot < graph.size()}
+        size = graph.size()
+
+        # the step
         try:
-            result = self.smoother.update(joined(*graphs), values, **options)
+            result = self.smoother.update(came, values, **options)
         except (RuntimeError, IndexError) as error:
-            self.smoother = made_anew(self.smoother, size, set(values.keys()))
+            self.smoother = made_anew(self.smoother, size, came, set(values.keys()), gone)
             self._kept.forget()
             raise UnsolvableGraphError(
                 f"expected an update that iSAM2 can take, got: {in_a_line(error)}; the smoother was made anew with "

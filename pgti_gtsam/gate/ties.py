@@ -31,6 +31,10 @@ SHORTEST = 0.05
 OFFSET, OFFSET_RAD = 0.125, 0.075
 """Standard deviation of what a closure measures, in ρ and in rad."""
 
+HOLDING = int(EdgeSource.BETWEEN | EdgeSource.COVISIBILITY)
+SKIP, ODOMETRY = int(EdgeSource.SKIP), int(EdgeSource.ODOMETRY)
+"""As plain numbers: flags of an enumeration cost a tenth of a large map's reading."""
+
 Array = NDArray[np.float64]
 
 
@@ -118,14 +122,14 @@ def ties_of(graph: gtsam.NonlinearFactorGraph, pose_graph: PoseGraph, poses: Seq
     rows: list[tuple[tuple[int, int], Any, Array, int, float]] = []
     known = zip(pose_graph.edges.tolist(), pose_graph.edge_sources.tolist(), pose_graph.edge_slots, strict=True)
     for (i, j), source, slots in known:
-        if not source & (EdgeSource.BETWEEN | EdgeSource.COVISIBILITY):
+        if not source & HOLDING:
             continue
-        is_skip = bool(source & EdgeSource.SKIP)
+        is_skip = bool(source & SKIP)
         measured = [(measured_from(graph.at(slot), keys[i]), -1 if is_skip else slot) for slot in slots]
         found = [(_alike(z, planar), slot) for z, slot in measured if z is not None]
 
         # a step of the track drifts with its length
-        if source & EdgeSource.ODOMETRY:
+        if source & ODOMETRY:
             step = found[0][0] if found else poses[i].between(poses[j])
             rows.append(((i, j), step, step_variances(step, unit), -1, _drift(step, unit) ** 2))
             continue
