@@ -119,7 +119,7 @@ def builtin(name: str = "kitti00") -> Dataset:
         raise InvalidOptionError(f"expected one of {', '.join(BUILTIN)}, got {quote(name)}")
     try:
         path = str(gtsam.findExampleDataFile(BUILTIN[name]))  # type: ignore[no-untyped-call]
-    except (RuntimeError, ValueError):
+    except (OSError, RuntimeError, ValueError):
         raise FileFormatError(BUILTIN[name], "is not among the data of the installed GTSAM") from None
     return replace(read(path), name=name)
 
