@@ -58,8 +58,7 @@ def parse(source: Source) -> Dataset:
     graph = _deserialize(source.path, text, gtsam.NonlinearFactorGraph)
     values = read_values(values_path)
     notes = [f"values from {values_path.name}"]
-    empty = sum(graph.at(slot) is None for slot in range(graph.size()))
-    if empty:
+    if empty := sum(graph.at(slot) is None for slot in range(graph.size())):
         notes.append(f"{empty} slots of the graph are empty: their factors were removed")
     return Dataset(
         name=source.name,
@@ -127,8 +126,7 @@ def _from_xml(path: Path, text: str) -> str:
 
 def _add_tokens(element: ElementTree.Element, tokens: list[str]) -> None:
     """Append the text before an element of a text archive: class if a pointer names it, tracking, version, identity."""
-    named = element.get("class_name")
-    if named is not None:
+    if (named := element.get("class_name")) is not None:
         tokens += [element.get("class_id", ""), str(len(named)), named]
     elif element.get("class_id") == "-1":  # a null pointer
         tokens.append("-1")
@@ -142,8 +140,7 @@ def _add_tokens(element: ElementTree.Element, tokens: list[str]) -> None:
 
 def _deserialize(path: Path, text: str, kind: type[Archived]) -> Archived:
     probe = [sys.executable, "-c", _PROBE.format(kind=kind.__name__)]
-    outcome = subprocess.run(probe, input=text.encode(), capture_output=True, check=False)
-    if outcome.returncode != 0:
+    if subprocess.run(probe, input=text.encode(), capture_output=True, check=False).returncode != 0:
         raise FileFormatError(path, f"is a damaged or cut-off archive of gtsam.{kind.__name__}; {ADVICE}")
     read = kind()
     read.deserialize(text)
