@@ -5,6 +5,7 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from textwrap import dedent
 
 import pytest
 
@@ -28,7 +29,11 @@ def test_the_pages_build_without_a_warning(tmp_path):
 def test_code_on_a_page_can_be_read(page):
     text = page.read_text(encoding="utf-8")
     for block in re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL):
-        names = {node.attr for node in ast.walk(ast.parse(block)) if isinstance(node, ast.Attribute) and is_ours(node)}
+        names = {
+            node.attr
+            for node in ast.walk(ast.parse(dedent(block)))
+            if isinstance(node, ast.Attribute) and is_ours(node)
+        }
         assert names <= set(dir(__import__("pgti_gtsam")))
     assert text.startswith(("#", "```{include}"))
 
