@@ -238,7 +238,7 @@ def what_a_rise_says(
 
 @app.command("radius-loss")
 def what_a_lost_radius_says(
-    seeds: Annotated[str, typer.Option(help="Seeds of the drives, between commas.")] = "1000,1001,1002,1003",
+    seeds: Annotated[str, typer.Option(help="Seeds of the drives, between commas.")] = "1000,1001",
     scheduler: Annotated[str | None, typer.Option(help="Address of a Dask scheduler; a local cluster without.")] = None,
     out: Annotated[Path, typer.Option(help="A JSON line a drive; known ones are kept.")] = RESULTS
     / "radius_loss.jsonl",
