@@ -230,6 +230,45 @@ def test_a_step_that_isam2_fails_in_leaves_the_map_of_before(world):
     isam.retract(1)
 
 
+def test_a_step_that_fails_leaves_slots_empty_that_its_factors_had_taken(world):
+    parameters = gtsam.ISAM2Params()
+    parameters.findUnusedFactorSlots = True
+    isam = driven_to(world, LAP + 6, smoother=gtsam.ISAM2(parameters))
+    isam.update(closures=[world.closure(5, LAP + 5)])
+    isam.retract(0)
+    filled = [slot for slot, _ in slots_of(isam.getFactorsUnsafe())]
+    values = gtsam.Values()
+    values.insert(LAP + 7, gtsam.Pose3())
+    late = gtsam.BetweenFactorPose3(LAP + 6, LAP + 7, gtsam.Pose3(), gtsam.noiseModel.Unit.Create(6))
+    with pytest.raises(UnsolvableGraphError, match="made anew"):
+        isam.update(graph_of([late]), values)
+    assert [slot for slot, _ in slots_of(isam.getFactorsUnsafe())] == filled
+    assert not isam.valueExists(LAP + 7)
+
+
+def test_closures_of_keyframes_that_the_caller_marginalised_are_passed_over(world):
+    isam, asked, order, leaving = driven_to(world, LAP + 8), gtsam.ISAM2UpdateParams(), gtsam.KeyGroupMap(), range(4)
+    isam.update(closures=[world.closure(2, LAP + 2), world.closure(7, LAP + 7), world.closure(3, 30, NOWHERE)])
+    asked.extraReelimKeys = key_list(range(LAP + 9))
+    for k in range(LAP + 9):
+        order.insert2(k, int(k not in leaving))
+    asked.constrainedKeys = order
+    isam.smoother.update(gtsam.NonlinearFactorGraph(), gtsam.Values(), asked)
+    isam.smoother.marginalizeLeaves(key_list(leaving))
+    assert set(isam.review().decisions) == {1}
+    assert set(isam.review_afresh().decisions) == {1}
+    assert isam.update(*step(world, LAP + 9), [world.closure(9, LAP + 9)]).accepted == (3,)
+    with pytest.raises(InvalidClosureError):
+        isam.retract(0)
+
+
+def key_list(keys):
+    found = gtsam.KeyList()
+    for key in keys:
+        found.push_back(key)
+    return found
+
+
 @pytest.mark.parametrize(("bias", "off", "verdict"), [(0.01, 0.0, "accepted"), (0.002, 5.0, "rejected")])
 def test_an_undecided_closure_waits_for_more(bias, off, verdict):
     world = driven(block(20, times=2) + straight(10), bias=bias, noise=0.005)
