@@ -42,6 +42,7 @@ ComplexArray = NDArray[np.complex128]
 
 FIRST_BALL = 400  # vertices; doubled until the bound is met
 POLE_TOLERANCE = 1e-9
+TOGETHER = 6  # poles whose factors are kept at once where only diagonals are wanted
 SLOWEST_POLE = 0.1  # over the longest time: the fit from λ = 0 on is then good to 1e-7
 
 
@@ -133,11 +134,18 @@ def kernel_within(block: sparse.csc_array, times: FloatArray) -> KernelWithin:
     upper = sparse.triu(block, k=1).tocoo()
     tree = analyse(block.shape[0], np.stack([upper.row, upper.col], axis=1))
     shifts, fit = _fitted(tuple(times.tolist()), 2.0 ** np.ceil(np.log2(max(2 * block.diagonal().max(), 1.0))))
-    factor = factorise(FrontEntries.of(tree, block, grounds), shifts)
-    escape = solve(factor, grounds[tree.order, None])[:, tree.positions, 0]
+
+    # a few poles at a time: their factors are by far the most of the memory
+    entries, found = FrontEntries.of(tree, block, grounds), []
+    for some in np.array_split(shifts, -(-len(shifts) // TOGETHER)):
+        factor = factorise(entries, some)
+        found.append((inverse_diagonal(factor), solve(factor, grounds[tree.order, None])[:, tree.positions, 0]))
+    diagonals, escape = (np.concatenate(each) for each in zip(*found, strict=True))
+
+    # from resolvents to heat
     inside = (((1 - escape) / shifts[:, None]).T @ fit.weights).real + fit.constants
     return KernelWithin(
-        diagonal=np.maximum(_sum(inverse_diagonal(factor), fit) - fit.largest_error, 0.0),
+        diagonal=np.maximum(_sum(diagonals, fit) - fit.largest_error, 0.0),
         left=np.clip(1 - inside + fit.largest_error, 0.0, 1.0),
     )
 
