@@ -1,8 +1,8 @@
 """Maps of several robots or sessions, joined by links: each link is judged before the link fuses anything.
 
 1. A map is a part of the factor graph that no factor ties to the rest, in a frame of any choice.
-2. Two maps join where two links of different revisits agree better than chance (`agreement`); the surest pair of maps
-   joins first. A lone link joins nothing, for nothing tells whether the link is true.
+2. Two maps join where links of different revisits agree better than chance (`agreement`); the surest pair of maps joins
+   first. A lone link joins nothing, for nothing tells whether the link is true.
 3. The gate judges all other links within the joined map. A joined map may bring in a third map: two links, each to
    either of the two, vouch for each other now.
 """
@@ -217,8 +217,9 @@ class _Merger:
         found = best_agreement(offered, reference.revisits(offered))
         if found is None:
             return None
-        first, second = (np.array([link_of[tie] for tie in group.tolist()], dtype=np.int64) for group in found.groups)
-        return Agreement(groups=(first, second), log_odds=found.log_odds, missed_m=found.missed_m)
+        return replace(
+            found, groups=tuple(np.array([link_of[tie] for tie in group.tolist()], np.int64) for group in found.groups)
+        )
 
     def _join(self, a: int, b: int, found: Agreement, links: list[int]) -> None:
         """Join two maps, and judge the other links between the two."""
@@ -231,13 +232,14 @@ class _Merger:
 
         # what joined them
         probability = float(expit(found.log_odds))
+        said = f"Links of {len(found.groups)} revisits agree to {metres(found.missed_m)}: {name} and {other} join."
         self.order.append(Joining(maps=(name, other), links=tuple(passed), probability=probability))
         for k in passed:
             self.known[k] = LinkVerdict(
                 verdict="accepted",
                 probability=probability,
                 keys=self.keys[k],
-                sentence=f"Links of two revisits agree to {metres(found.missed_m)}: {name} and {other} join.",
+                sentence=said,
             )
         self.maps[b:] = self.maps[b + 1 :]
         self.maps[a] = (pair, f"{name} + {other}")

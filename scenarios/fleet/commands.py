@@ -10,14 +10,19 @@ from typing import Annotated
 import typer
 
 from pgti_gtsam import outputs
-from scenarios.fleet import growth, night, speedup
+from scenarios.fleet import growth, links, night, speedup
 
 RESULTS = Path(__file__).parents[1] / "results"
 
 
 def add_to(app: typer.Typer) -> None:
     """Let an application know the commands."""
-    for name, command in (("fleet", many_maps), ("city", city_in_parts), ("workers", two_workers)):
+    for name, command in (
+        ("fleet", many_maps),
+        ("city", city_in_parts),
+        ("links", links_between_maps),
+        ("workers", two_workers),
+    ):
         app.command(name)(command)
 
 
@@ -52,3 +57,11 @@ def city_in_parts(
     """One city whole and in parts: the same verdict, time and memory, up to a million keyframes. An hour."""
     rows = growth.run(out, [n for n in growth.SIZES if n <= largest], tell=print)
     print("\n".join(growth.report(rows)) + f"\nresults: {out}")
+
+
+def links_between_maps(
+    teams: Annotated[int, typer.Option(help="Teams of three robots.")] = 10,
+    out: Annotated[Path, typer.Option(help="A JSON line a team; known ones are kept.")] = RESULTS / "links.jsonl",
+) -> None:
+    """True and wrong links between the maps of three robots: which of them fuse maps. Three minutes."""
+    print("\n".join(links.report(links.run(out, range(teams), tell=print))) + f"\nresults: {out}")

@@ -69,9 +69,9 @@ def drive(seed: int) -> Drive:
     steps: list[gtsam.Pose2] = []
     laps = []
     for _ in range(int(random.integers(MOST_UNTIED, 9))):
-        lap = _lap(*random.integers(11, 23, size=2).tolist())
-        laps.append((len(steps), len(lap)))
-        steps += [*lap, *lap, *_straight(2 * len(lap) // 3)]
+        once = lap(*random.integers(11, 23, size=2).tolist())
+        laps.append((len(steps), len(once)))
+        steps += [*once, *once, *_straight(2 * len(once) // 3)]
     truth = [gtsam.Pose2()]
     for step in steps:
         truth.append(truth[-1].compose(step.retract(np.array([0, WANDER * random.normal(), 0]))))
@@ -101,8 +101,14 @@ def _straight(keyframes: int) -> list[gtsam.Pose2]:
     return [gtsam.Pose2(STEP, 0, 0)] * keyframes
 
 
-def _lap(width: int, height: int) -> list[gtsam.Pose2]:
-    """Once around a block, left turns; sides in keyframes."""
+def lap(width: int, height: int) -> list[gtsam.Pose2]:
+    """Steps once around a block, left turns.
+
+    Parameters
+    ----------
+    width, height : int
+        Sides in keyframes.
+    """
     corner = [gtsam.Pose2(STEP / 2, 0, np.pi / 4)] * 2
     return [step for side in (width, height, width, height) for step in (*_straight(side), *corner)]
 
