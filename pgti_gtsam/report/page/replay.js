@@ -196,10 +196,8 @@ function play() {
 }
 
 function fillWords() {
-  const { name, format, notes } = replayed.input;
-  byId("name").textContent = name;
-  byId("origin").textContent = [format, ...notes].join(" · ");
-  byId("footer").textContent = `pgti-gtsam ${replayed.pgti_gtsam_version}`;
+  fillHead(replayed, "a replay");
+  byId("notes").replaceChildren(...notesOf(replayed.input));
   byId("verdict-level").textContent = `Λ ${short(moments.score.at(-1))}`;
   byId("verdict-text").textContent = `at the end; the largest was ${short(largest(moments.score))}`;
   byId("scale").style.background = `linear-gradient(90deg, ${viridis.map((c) => `rgb(${c.join()})`).join()})`;

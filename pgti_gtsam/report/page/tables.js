@@ -119,7 +119,7 @@ function fillClosures(choose) {
   const shown = closures.slice(0, mostClosures);
   const rows = shown.map((c) => [
     link(closureLabel(c)), probability(c.probability),
-    ...(isJudged(c) ? [`${rough(c.missed_m)} m, ${rough(c.missed_deg)}°`, lengthOf(c.allowed_m)] : ["–", "–"]),
+    ...(isJudged(c) ? [`${rough(rounded(c.missed_m, 3))} m, ${rough(rounded(c.missed_deg, 2))}°`, lengthOf(c.allowed_m)] : ["–", "–"]),
     isJudged(c) ? (c.is_false ? "contradict" : "agree") : "silent",
   ]);
   const filled = table({ columns, rows });

@@ -15,6 +15,9 @@ function short(value) {
   return size >= 100 ? number.toFixed(0) : String(Number(number.toPrecision(3)));
 }
 
+/** A number to so many decimals: what lies beyond is no use to a person. */
+const rounded = (value, decimals) => Number(value.toFixed(decimals));
+
 /** Two significant digits. */
 const rough = (value) => short(Number(value.toPrecision(2)));
 
