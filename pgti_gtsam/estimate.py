@@ -76,7 +76,7 @@ def optimised(
     graph: gtsam.NonlinearFactorGraph,
     values: gtsam.Values,
     *,
-    held: gtsam.NonlinearFactorGraph | None = None,
+    priors: gtsam.NonlinearFactorGraph | None = None,
     max_iterations: int = MAX_ITERATIONS,
     tolerance: float = 1e-5,
 ) -> gtsam.Values:
@@ -85,8 +85,8 @@ def optimised(
     Parameters
     ----------
     graph, values
-    held : gtsam.NonlinearFactorGraph, optional
-        Priors that fix the map in space, where known: those of `anchors`.
+    priors : gtsam.NonlinearFactorGraph, optional
+        Priors that fix the map in space, where known: those of `gauge_priors`.
     max_iterations : int
     tolerance : float
         Relative decrease of the error at which to stop; GTSAM's own default.
@@ -99,7 +99,7 @@ def optimised(
     parameters = gtsam.LevenbergMarquardtParams()
     parameters.setMaxIterations(max_iterations)
     parameters.setRelativeErrorTol(tolerance)
-    anchored = joined(graph, anchors(graph, values) if held is None else held)
+    anchored = joined(graph, gauge_priors(graph, values) if priors is None else priors)
     try:
         found = gtsam.LevenbergMarquardtOptimizer(anchored, values, parameters).optimize()
     except RuntimeError as error:
@@ -110,7 +110,7 @@ def optimised(
     return found
 
 
-def anchors(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam.NonlinearFactorGraph:
+def gauge_priors(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam.NonlinearFactorGraph:
     """A prior at its present value for the first pose of every component that no unary factor holds.
 
     Without a prior the optimum is free to move as a whole. The prior pulls at nothing: its residual stays zero.

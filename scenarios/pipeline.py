@@ -100,16 +100,16 @@ def _row(n_keyframes: int, times: dict[str, list[float]], accepted: list[bool], 
 
 def _reviewed(gated: pgti.GatedISAM2, n_offered: int) -> Row:
     """How long it takes to judge revisits again, each by itself, and how many admitted closures that condemns."""
-    times, condemned = [], set[int]()
+    times, leaving = [], set[int]()
     for number in np.unique(np.linspace(0, n_offered - 1, REVIEWS).round().astype(int)).tolist():
         started = time.process_time()
-        condemned.update(gated.review([number]).condemned)
+        leaving.update(gated.review([number]).leaving)
         times.append(time.process_time() - started)
     return {
         "reviews": len(times),
         "review_s": float(np.median(times)),
         "review_slowest_s": max(times),
-        "condemned": len(condemned),
+        "leaving": len(leaving),
     }
 
 
@@ -151,8 +151,8 @@ def line(row: Row) -> str:
     return (
         f"{row['n_keyframes']:6d} keyframes: {row['bare_s'] * 1e3:.3f} ms bare, {row['gated_s'] * 1e3:.3f} ms gated, "
         f"ratio {row['ratio']:.2f}{closing}; {row['accepted']} of {row['offered']} closures; a review of a revisit "
-        f"{row['review_s'] * 1e3:.0f} ms (slowest {row['review_slowest_s'] * 1e3:.0f} ms), {row['condemned']} "
-        f"condemned; {row['megabytes']:.0f} MB"
+        f"{row['review_s'] * 1e3:.0f} ms (slowest {row['review_slowest_s'] * 1e3:.0f} ms), {row['leaving']} "
+        f"leaving; {row['megabytes']:.0f} MB"
     )
 
 

@@ -114,7 +114,7 @@ def test_a_closure_whose_keyframe_leaves_is_part_of_the_prior_for_good(world, ki
         gated.retract(0)
     review = gated.review()
     assert set(review.decisions) == {0}
-    assert (review.condemned, review.redeemed) == ((), ())
+    assert (review.leaving, review.entering) == ((), ())
     gated.revise(review)
     assert held(gated)[2] == before[2]
 

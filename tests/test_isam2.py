@@ -131,11 +131,11 @@ def test_a_review_turns_a_revisit_over_when_the_larger_party_came_later(world):
     assert set(isam.admitted) == {0, 1}  # within drift, and first
     assert isam.review([]).decisions == {}
     review = isam.review([5])
-    assert (review.condemned, review.redeemed) == ((0, 1), (2, 3, 4, 5))
+    assert (review.leaving, review.entering) == ((0, 1), (2, 3, 4, 5))
     isam.revise(review)
     assert set(isam.admitted) == {2, 3, 4, 5}
     again = isam.review()
-    assert (again.condemned, again.redeemed) == ((), ())
+    assert (again.leaving, again.entering) == ((), ())
     with pytest.raises(InvalidClosureError):
         isam.revise(review)
 
@@ -159,7 +159,7 @@ def test_a_review_by_the_kept_map_is_that_of_maps_read_anew():
         assert decision.judged_with == other.decisions[number].judged_with
         assert decision.log_odds == pytest.approx(other.decisions[number].log_odds, rel=0.01, abs=0.1)
     assert sum(decision.score is None for decision in other.decisions.values()) >= 7  # which a kept map has none of
-    assert (one.condemned, one.redeemed) == (other.condemned, other.redeemed) == ((0,), ())
+    assert (one.leaving, one.entering) == (other.leaving, other.entering) == ((0,), ())
 
 
 def test_a_review_afresh_agrees_where_nothing_is_wrong(world):
@@ -169,7 +169,7 @@ def test_a_review_afresh_agrees_where_nothing_is_wrong(world):
     before = state(isam)
     review = isam.review_afresh()
     assert set(review.decisions) == {0, 1, 2, 3}
-    assert (review.condemned, review.redeemed) == ((), ())
+    assert (review.leaving, review.entering) == ((), ())
     assert state(isam) == before
 
 

@@ -137,10 +137,10 @@ class GatedSmoother(RuleBasedStateMachine):
         before = told(self.isam)
         review = self.isam.review([data.draw(st.sampled_from(range(len(self.closures))))])
         assert told(self.isam) == before
-        if self.broken.isdisjoint([*review.condemned, *review.redeemed]):
+        if self.broken.isdisjoint([*review.leaving, *review.entering]):
             self.isam.revise(review)
-            assert set(review.redeemed) <= set(self.isam.admitted)
-            assert set(review.condemned).isdisjoint(self.isam.admitted)
+            assert set(review.entering) <= set(self.isam.admitted)
+            assert set(review.leaving).isdisjoint(self.isam.admitted)
 
     @rule()
     def restart(self):

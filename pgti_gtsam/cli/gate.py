@@ -184,7 +184,7 @@ def closures(
     """Judge each loop closure against all the others.
 
     Closures of a finished map are listed least probable first. A closure is taken out, the map optimised
-    without that closure, and the closure offered to the gate. False closures that agree vouch for each other
+    without that closure, and the closure offered to the gate. False closures that agree support each other
     here, and many bend the whole map: use `gate` for such maps.
     """
     files = MapFiles(files=file, values=values, loops=loops, one_map=one_map, ignore_unknown=ignore_unknown)

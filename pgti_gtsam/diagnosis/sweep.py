@@ -1,4 +1,4 @@
-"""Does a verdict hang on the radius? The same map audited with smaller and larger spheres."""
+"""Does a verdict depend on the radius? The same map audited with smaller and larger spheres."""
 
 from __future__ import annotations
 

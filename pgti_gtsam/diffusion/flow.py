@@ -20,7 +20,7 @@ from scipy.sparse.linalg import LinearOperator, eigsh, expm_multiply, splu
 from pgti_gtsam.checks import finite_array, instance, pairs, real_array, whole
 from pgti_gtsam.diffusion.block_laplacian import NormalEquations
 from pgti_gtsam.errors import InvalidOptionError, UnsolvableGraphError
-from pgti_gtsam.spectral.poles import fit_from_zero, place
+from pgti_gtsam.spectral.poles import fit_from_zero, shifts_for
 
 FloatArray = NDArray[np.float64]
 
@@ -37,7 +37,7 @@ VANISHING_PIVOT = 1e-9
 """A pivot below this share of its diagonal entry is rounding. Of six standard graphs the least held has 2e-8 (CSAIL);
 those that nothing holds have 5e-11 at most, or less than nothing."""
 
-NOT_HELD = "expected a graph whose every part is held by a prior, got a singular one; add its `grounds`"
+NOT_HELD = "expected a graph whose every part has a prior, got a singular one; add its `grounds`"
 
 REFINEMENTS = 3
 """Steps of iterative refinement. Normal equations lose twice the digits that the Jacobian loses; a step with
@@ -95,7 +95,7 @@ def exponential(matrix: sparse.csr_array, vectors: FloatArray, times: FloatArray
 
 
 def _by_resolvents(matrix: sparse.csr_array, vectors: FloatArray, times: FloatArray, largest: float) -> FloatArray:
-    shifts = place(1 / float(times.max()), largest, POLE_TOLERANCE)
+    shifts = shifts_for(1 / float(times.max()), largest, POLE_TOLERANCE)
     fitted = fit_from_zero(shifts, times, largest)
     values = fitted.constants[:, None, None] * vectors
     for shift, weights in zip(shifts, fitted.weights, strict=True):
@@ -288,7 +288,7 @@ def relative_consensus(
     weighted = incidence.tocsr().T @ sparse.diags_array(w)
     matrix = weighted @ incidence
     if held is not None:
-        at = whole(held, "the vertex that is held", least=0, most=n - 1)
+        at = whole(held, "the fixed vertex", least=0, most=n - 1)
         matrix = matrix + sparse.coo_array(([1.0], ([at], [at])), shape=(n, n))
 
     # a copy for each coordinate

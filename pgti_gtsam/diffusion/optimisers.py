@@ -104,7 +104,7 @@ def gtsam_steps(
             optimiser.iterate()
         except RuntimeError as error:
             raise UnsolvableGraphError(
-                f"expected a graph that {method} can solve, got a singular one at iteration {k}; is every part held?"
+                f"expected a graph that {method} can solve, got a singular one at step {k}; has every part a prior?"
             ) from error
         steps.append(
             Step(method=method, iteration=k, energy=optimiser.error(), values=gtsam.Values(optimiser.values()))

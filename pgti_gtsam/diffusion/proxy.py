@@ -20,7 +20,7 @@ from pgti_gtsam.diffusion.flow import MODES_UP_TO, factorised, modes
 from pgti_gtsam.diffusion.grounding import components
 from pgti_gtsam.errors import InvalidOptionError
 from pgti_gtsam.spectral.laplacian import laplacian
-from pgti_gtsam.spectral.poles import fit_from_zero, place
+from pgti_gtsam.spectral.poles import fit_from_zero, shifts_for
 
 FloatArray = NDArray[np.float64]
 
@@ -227,7 +227,7 @@ def heat_left(matrix: sparse.csr_array, dimension: int, vertices: NDArray[np.int
 
     # large: from resolvents
     largest = float(abs(matrix).sum(axis=0).max())
-    shifts = place(1 / float(times.max()), largest, SAMPLE_TOLERANCE)
+    shifts = shifts_for(1 / float(times.max()), largest, SAMPLE_TOLERANCE)
     fitted = fit_from_zero(shifts, times, largest)
     units = np.zeros((matrix.shape[0], len(columns)), dtype=complex)
     units[columns, np.arange(len(columns))] = 1.0

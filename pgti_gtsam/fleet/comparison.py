@@ -46,8 +46,8 @@ class Comparison:
     def is_worse(self) -> bool:
         """Whether the verdict is graver, a place is new, or the gate would take a closure for false now."""
         graver = GRAVITY.index(self.verdicts[1]) > GRAVITY.index(self.verdicts[0])
-        condemned = any(before >= 0.5 > after for _, before, after in self.closures)
-        return graver or bool(self.new_places) or condemned
+        is_false_now = any(before >= 0.5 > after for _, before, after in self.closures)
+        return graver or bool(self.new_places) or is_false_now
 
 
 def compare(old: Document, new: Document) -> Comparison:

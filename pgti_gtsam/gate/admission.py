@@ -330,10 +330,10 @@ class Admission:
                 return
             missed, others = left_out(self.settled, tied)
             odds = log_odds(self.model, missed, self._poorer * others)
-            condemned = odds < 0
-            if not condemned.any():
+            misfits = odds < 0
+            if not misfits.any():
                 return
-            out = condemned & (odds <= odds[condemned].min() / 2)
+            out = misfits & (odds <= odds[misfits].min() / 2)
             self.member_odds |= dict(zip(tied[out].tolist(), odds[out].tolist(), strict=True))
             self.active = self.active.copy()
             self.active[tied[out]] = False

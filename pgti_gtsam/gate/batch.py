@@ -134,7 +134,7 @@ def leave_one_out(
     """Judge every loop closure of a finished graph against the map with all the others, each by itself.
 
     The whole map is optimised once, the start of every map without a single closure. False closures
-    that agree vouch for each other here: use `gate_graph` for such maps.
+    that agree support each other here: use `gate_graph` for such maps.
 
     Parameters
     ----------

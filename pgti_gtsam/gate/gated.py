@@ -213,12 +213,12 @@ class GatedSmoother(ABC):
         turned = {number for number, decision in sorted(decisions.items()) if decision.accepted is not holds[number]}
         return Review(
             decisions=decisions,
-            condemned=tuple(number for number in sorted(turned) if holds[number] and not self._is_fixed(number)),
-            redeemed=tuple(number for number in sorted(turned) if not holds[number]),
+            leaving=tuple(number for number in sorted(turned) if holds[number] and not self._is_fixed(number)),
+            entering=tuple(number for number in sorted(turned) if not holds[number]),
         )
 
     def revise(self, review: Review) -> None:
-        """Take out the closures that a review condemns and admit those that the review redeems, in a step.
+        """Take out the closures that a review says leave, and admit those that enter, in a step.
 
         Raises
         ------
@@ -227,7 +227,7 @@ class GatedSmoother(ABC):
         """
         if not isinstance(review, Review):
             raise InvalidOptionError(f"expected what review() returned, got {shown(review)}")
-        self._replace(review.condemned, review.redeemed)
+        self._replace(review.leaving, review.entering)
 
     def _grown_radii(self, radii: Mapping[int, float] | None) -> Radii | None:
         if radii is None:

@@ -80,15 +80,15 @@ class Review:
     ----------
     decisions : dict of int to ClosureDecision
         By number, of every closure judged again.
-    condemned : tuple of int
+    leaving : tuple of int
         Numbers of admitted closures that would now be rejected.
-    redeemed : tuple of int
+    entering : tuple of int
         Numbers of closures kept out that would now be accepted.
     """
 
     decisions: Mapping[int, ClosureDecision]
-    condemned: tuple[int, ...]
-    redeemed: tuple[int, ...]
+    leaving: tuple[int, ...]
+    entering: tuple[int, ...]
 
 
 @dataclass(slots=True)

@@ -1,6 +1,6 @@
 """A finished map's own closures, each judged against all the others by the drift model.
 
-False closures that agree vouch for each other, and many false closures bend the whole map. So the worst are taken out,
+False closures that agree support each other, and many false closures bend the whole map. So the worst are taken out,
 the rest is looked at again, and closures that fit the rest after all are admitted again.
 """
 
@@ -92,7 +92,7 @@ def own_closures(model: DriftModel) -> OwnClosures:
         As of `settle`.
     """
     closures, active = model.ties.closures, np.ones(len(model.ties.pairs), dtype=bool)
-    returned, charge = np.zeros(len(closures), dtype=bool), np.full(len(closures), np.nan)
+    returned, against = np.zeros(len(closures), dtype=bool), np.full(len(closures), np.nan)
     groups = _revisits(model)
     settled = settle(model, active)
     for n_rounds in range(MAX_ROUNDS):  # noqa: B007  the last one is a result
@@ -105,11 +105,11 @@ def own_closures(model: DriftModel) -> OwnClosures:
 
         # take out the worst, or let in again what fits after all
         worst = np.fmin(odds, together)
-        condemned = active[closures] & (worst < 0)
+        failing = active[closures] & (worst < 0)
         acquitted = ~active[closures] & (odds > 0) & ~returned
-        if condemned.any():
-            out = condemned & (worst <= worst[condemned].min() / 2)
-            active[closures[out]], charge[out] = False, worst[out]
+        if failing.any():
+            out = failing & (worst <= worst[failing].min() / 2)
+            active[closures[out]], against[out] = False, worst[out]
         elif acquitted.any():
             active[closures[acquitted]] = True
             returned |= acquitted
@@ -123,7 +123,7 @@ def own_closures(model: DriftModel) -> OwnClosures:
         ties=closures,
         slots=model.ties.slots[closures],
         pairs=model.ties.pairs[closures],
-        log_odds=np.where(active[closures], odds, np.fmin(odds, charge)),
+        log_odds=np.where(active[closures], odds, np.fmin(odds, against)),
         missed_m=np.linalg.norm(missed[:, own], axis=1),
         missed_rad=np.linalg.norm(turned, axis=1),
         allowed_m=np.where(np.isnan(odds), np.inf, np.sqrt(np.maximum(squares[:, -1:].sum(axis=1), 0.0))),

@@ -185,10 +185,10 @@ def settle(model: DriftModel, active: NDArray[np.bool_] | None = None, start: Se
     tree = analyse(n, np.unique(np.sort(ties.pairs[active], axis=1), axis=0))
 
     # the optimum, and the information there
-    anchors = _anchors(model, component)
+    gauge_priors = _anchors(model, component)
     poses = _optimum(model, active, component, model.poses if start is None else start.poses)
     with solvable():
-        factor, pull = _linearised(model, tree, anchors, active, poses)
+        factor, pull = _linearised(model, tree, gauge_priors, active, poses)
     steps = solve(factor, pull)
     return Settled(
         model=model,
@@ -226,7 +226,7 @@ def _optimum(
     # their optimum, in metres again
     for i, pose in enumerate(start):
         values.insert(i, _scaled(pose, inverse))
-    found = optimised(graph, values, held=gtsam.NonlinearFactorGraph(), max_iterations=MAX_ITERATIONS, tolerance=1e-3)
+    found = optimised(graph, values, priors=gtsam.NonlinearFactorGraph(), max_iterations=MAX_ITERATIONS, tolerance=1e-3)
     at = found.atPose2 if model.is_planar else found.atPose3
     return [_scaled(at(i), model.unit_m) for i in range(len(start))]
 
@@ -257,14 +257,14 @@ def _fixed(model: DriftModel, component: NDArray[np.int32]) -> NDArray[np.int64]
 
 
 def _linearised(
-    model: DriftModel, tree: EliminationTree, anchors: Array, active: NDArray[np.bool_], poses: Sequence[Any]
+    model: DriftModel, tree: EliminationTree, gauge_priors: Array, active: NDArray[np.bool_], poses: Sequence[Any]
 ) -> tuple[BlockFactor, Array]:
     """Σ Jᵀ R⁻¹ J, J = (−A, I), and −Σ Jᵀ R⁻¹ e, (n, d), of the active ties and of the positions that are held."""
     # the ties
     ties = model.ties.only(active)
     pairs, carry, weights = ties.pairs, adjoints(poses, ties.pairs), 1 / ties.variances
     weighted, errors = weights[:, :, None] * carry, weights * errors_of(poses, ties.pairs, ties.measured)
-    diagonal, pull = anchors.copy(), np.zeros(anchors.shape[:2])
+    diagonal, pull = gauge_priors.copy(), np.zeros(gauge_priors.shape[:2])
     np.add.at(diagonal, pairs[:, 0], carry.swapaxes(1, 2) @ weighted)
     np.add.at(diagonal, pairs[:, 1], weights[:, :, None] * np.eye(weights.shape[1]))
     np.add.at(pull, pairs[:, 0], (carry.swapaxes(1, 2) @ errors[:, :, None])[:, :, 0])

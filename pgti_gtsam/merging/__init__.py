@@ -4,7 +4,7 @@
 2. Two maps join where links of different revisits agree better than chance (`agreement`); the surest pair of maps joins
    first. A lone link joins nothing, for nothing tells whether the link is true.
 3. The gate judges all other links within the joined map. A joined map may bring in a third map: two links, each to
-   either of the two, vouch for each other now.
+   either of the two, support each other now.
 """
 
 from __future__ import annotations

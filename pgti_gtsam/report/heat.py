@@ -103,7 +103,11 @@ def _findings(document: Mapping[str, Any]) -> list[tuple[str, str, str]]:
     others = document["n_other_variables"]
     rows = [
         ("keyframes", f"{document['n_keyframes']} {document['group']}", f"{document['n_edges']} pairs exchange heat"),
-        ("parts", f"{document['parts']}", f"{len(document['grounds_added'])} held for this study, as no factor does"),
+        (
+            "parts",
+            f"{document['parts']}",
+            f"{len(document['grounds_added'])} fixed here, as no factor does",
+        ),
         *([("marginalised", f"{others}", "landmarks and other variables")] if others else []),
         ("defect, GTSAM's frame", _short(document["laplacian_defect_body"]), "0 for a block Laplacian"),
         ("defect, spatial frame", _short(document["laplacian_defect_spatial"]), "Eq. 12 holds where 0"),

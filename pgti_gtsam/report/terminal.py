@@ -249,9 +249,9 @@ def print_sweep(document: Mapping[str, Any], console: Console) -> None:
         places = ", ".join(f"{count} {kind}" for kind, count in row["places"].items()) or "none"
         verdict = Text(row["verdict"], style=_COLOURS[row["verdict"]])
         table.add_row(f"{row['factor']:g}", _number(row["median_radius_m"]), _number(row["score"]), verdict, places)
-    held = "The verdict changes between half and twice the radii: it is fragile, measure the radii."
-    held = held if swept["fragile"] else "The verdict holds from half to twice the radii."
-    console.print(_section("Does the verdict hang on the radius?", Group(table, Text(held))))
+    told = "The verdict changes between half and twice the radii: it is fragile, measure the radii."
+    told = told if swept["fragile"] else "The verdict holds from half to twice the radii."
+    console.print(_section("Does the verdict depend on the radius?", Group(table, Text(told))))
 
 
 def _own_closures(document: Mapping[str, Any]) -> RenderableType:

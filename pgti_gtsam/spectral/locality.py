@@ -200,7 +200,7 @@ def _on_ball(laplacian: sparse.csc_array, vertices: IntArray, inserted: IntArray
 def _fitted(times: tuple[float, ...], largest: float) -> tuple[ComplexArray, poles.Fit]:
     """Poles and weights for a spectrum from zero to `largest`, shared by most candidates of a map."""
     slowest = SLOWEST_POLE / max(times)
-    shifts = poles.place(min(slowest, largest), largest, POLE_TOLERANCE)
+    shifts = poles.shifts_for(min(slowest, largest), largest, POLE_TOLERANCE)
     return shifts, poles.fit_from_zero(shifts, np.array(times), largest)
 
 

@@ -80,7 +80,7 @@ class SpectralState:
         edges = np.asarray(edges, dtype=np.int64).reshape(-1, 2)
         tree = analyse(n_vertices, edges)
         spectrum = Spectrum.of(n_vertices, edges, tree.order)
-        shifts = poles.place(spectrum.smallest_positive, HEADROOM * spectrum.largest, tolerance)
+        shifts = poles.shifts_for(spectrum.smallest_positive, HEADROOM * spectrum.largest, tolerance)
         entries = FrontEntries.of(tree, spectrum.laplacian)
         factors = tuple(factorise(entries, shifts[k : k + CHUNK]) for k in range(0, len(shifts), CHUNK))
         diagonals = np.concatenate([inverse_diagonal(factor) for factor in factors])

@@ -215,7 +215,7 @@ def pole_kernels(
     tree = analyse(n_vertices, np.concatenate(edge_lists))
     spectra = [Spectrum.of(n_vertices, edges, tree.order) for edges in edge_lists]
     smallest, largest = min(s.smallest_positive for s in spectra), max(s.largest for s in spectra)
-    shifts = poles.place(smallest, largest, tolerance)
+    shifts = poles.shifts_for(smallest, largest, tolerance)
     return tuple(_kernel(tree, spectrum, shifts) for spectrum in spectra)
 
 

@@ -62,7 +62,7 @@ class Fit:
     largest_error: float
 
 
-def place(smallest: float, largest: float, tolerance: float) -> ComplexArray:
+def shifts_for(smallest: float, largest: float, tolerance: float) -> ComplexArray:
     """Fewest shifts z_j whose fit of the reference times has a residual within the tolerance.
 
     Parameters
@@ -127,7 +127,7 @@ def fit(shifts: ComplexArray, times: FloatArray, smallest: float, largest: float
     Parameters
     ----------
     shifts : (n_poles,) complex
-        As `place` gives them, for this interval or a larger interval.
+        As `shifts_for` gives them, for this interval or a larger interval.
     times : (n_times,) float
         Not negative.
     smallest, largest : float
@@ -145,7 +145,7 @@ def fit_from_zero(shifts: ComplexArray, times: FloatArray, largest: float) -> Fi
     Parameters
     ----------
     shifts : (n_poles,) complex
-        As `place` gives them for an interval from about 1/max(times) on.
+        As `shifts_for` gives them for an interval from about 1/max(times) on.
     times : (n_times,) float
         Not negative.
     largest : float

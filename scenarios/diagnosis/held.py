@@ -76,9 +76,9 @@ class Held:
 
         # each part is held somewhere
         _, part = csgraph.connected_components(sparse.coo_array((np.ones(len(ties)), ties.T), shape=(n, n)))
-        anchors = np.zeros((n, n_axes + n_turns))
-        anchors[np.unique(part, return_index=True)[1]] = ANCHOR**-2
-        information = weighted.T @ weighted + sparse.diags_array(anchors.ravel())
+        gauge_priors = np.zeros((n, n_axes + n_turns))
+        gauge_priors[np.unique(part, return_index=True)[1]] = ANCHOR**-2
+        information = weighted.T @ weighted + sparse.diags_array(gauge_priors.ravel())
         return cls(places=places, part=part, factor=splu(sparse.csc_array(information)))
 
     def deviations(self, pairs: Pairs) -> Array:
