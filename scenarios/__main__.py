@@ -177,11 +177,11 @@ def known_damage(
     data: Annotated[Path | None, typer.Option(help="Folder with the real graphs; worlds only without.")] = None,
     names: Annotated[str, typer.Option("--worlds", help="Which, between commas.")] = ",".join(LAYOUTS),
     seeds: Annotated[str, typer.Option(help="Seeds of the drives, between commas.")] = ",".join(
-        map(str, range(70, 78))
+        map(str, range(110, 118))
     ),
-    undamaged: Annotated[str, typer.Option(help="Seeds of maps without damage.")] = ",".join(map(str, range(70, 85))),
-    covisible: Annotated[str, typer.Option(help="Seeds of maps with landmarks.")] = "70",
-    narrow: Annotated[str, typer.Option(help="Seeds of maps by a wide and a narrow camera.")] = "70,71,72",
+    undamaged: Annotated[str, typer.Option(help="Seeds of maps without damage.")] = ",".join(map(str, range(110, 125))),
+    covisible: Annotated[str, typer.Option(help="Seeds of maps with landmarks.")] = "110",
+    narrow: Annotated[str, typer.Option(help="Seeds of maps by a wide and a narrow camera.")] = "110,111,112",
     scheduler: Annotated[str | None, typer.Option(help="Address of a Dask scheduler; a local cluster without.")] = None,
     out: Annotated[Path, typer.Option(help="A JSON line a case; known ones are kept.")] = RESULTS / "diagnosis.jsonl",
 ) -> None:

@@ -160,15 +160,16 @@ class Contacts:
     def _collision(self, contact: Revisit) -> Place:
         """The place of overlaps that nothing explains."""
         kind: Kind
+        probability = self._probability(contact)
         if self._is_gap(contact):
             kind = "tracking gap"
         elif self._is_folded(contact):
             kind = "likely false closure"
-        elif self._probability(contact) < DECIDED:
+        elif probability < DECIDED:
             kind = "undecided contact"
         else:
             kind = "different view" if self._is_elsewhere(contact) else "missed closure"
-        return self._place(kind, contact, self.integrity.collisions)
+        return self._place(kind, contact, self.integrity.collisions, probability)
 
     def _is_gap(self, contact: Revisit) -> bool:
         """Whether the track itself breaks off here and goes on beside."""
@@ -241,7 +242,7 @@ class Contacts:
                 kind = "likely false closure"
             elif self._rise_m(contact):
                 kind = "different view"
-            found.append(self._place(kind, contact, self.integrity.fusion))
+            found.append(self._place(kind, contact, self.integrity.fusion, self._probability(contact)))
         return found
 
     def _fusion(self) -> list[Place]:
@@ -252,9 +253,9 @@ class Contacts:
         peak = int(np.argmax(fusion.stable_scores[self.far].max(axis=1)))
         group_of = neighbourhoods(self.far, places_on(self.pose_graph, self.track), SAMPLED).group_of
         contact = revisit(self.pose_graph, self.track, self.far[group_of == group_of[peak]])
-        return [self._place("incomplete fusion", contact, fusion)]
+        return [self._place("incomplete fusion", contact, fusion, 1.0)]
 
-    def _place(self, kind: Kind, contact: Revisit, distortion: Scored) -> Place:
+    def _place(self, kind: Kind, contact: Revisit, distortion: Scored, probability: float) -> Place:
         """A place of a kind, without its gain."""
         # its numbers
         members = contact.keyframes
@@ -266,7 +267,7 @@ class Contacts:
             stable_score=float(distortion.stable_scores[worst]),
             worst=worst,
             scale=distortion.scale(worst),
-            probability=1.0 if kind == "incomplete fusion" else self._probability(contact),
+            probability=probability,
             allowance_m=0.0 if kind == "incomplete fusion" else self._allowance_m(contact.closest),
             reach_m=self._reach_m(contact.closest),
             gain=0.0,
