@@ -45,6 +45,7 @@ def drawn(audit, folder, **size):
     if "missing: " in run.stderr:
         pytest.skip(run.stderr.rpartition("missing: ")[2].strip())
     assert run.returncode == 0, run.stderr
+    assert "FEngine" not in run.stdout + run.stderr  # what the engine prints goes to the log
     return np.load(folder / "map.npy")
 
 
@@ -63,6 +64,12 @@ def test_picture_shows_each_layer_in_its_colour(planar, tmp_path):
     assert 0.5 < share(image, (255, 255, 255)) < 0.99
     assert all(share(image, color) > 1e-4 for color in (BLUE, RED, YELLOW, VIOLET))
     assert all((image[edge] > 250).all() for edge in (0, -1, (slice(None), 0), (slice(None), -1)))
+
+
+def test_a_legend_says_colours_and_size():
+    said = scene.legend(document(True))
+    assert "to 0.8, yellow" in said
+    assert "m across" in said
 
 
 @needs_open3d

@@ -186,6 +186,10 @@ def view(
             scene.render_png(audited.document, png)
     if png is None:
         scene.show(audited.document)
+        return
+    console = terminal()
+    console.print(scene.legend(audited.document), markup=False, soft_wrap=True)
+    print_paths({"picture": png}, console)
 
 
 def _audit(

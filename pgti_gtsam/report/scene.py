@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import ctypes
+import logging
 import math
 import os
 import sys
+import tempfile
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,6 +22,8 @@ from pgti_gtsam import outputs
 from pgti_gtsam.dense_map import HOW_TO_INSTALL, load_open3d
 from pgti_gtsam.errors import InvalidOptionError, MissingDependencyError, OutputError
 from pgti_gtsam.report.html import require_schema
+
+_LOG = logging.getLogger(__name__)
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -137,6 +142,24 @@ def render_png(document: Mapping[str, Any], path: Path | str, width: int = 1600,
     drawn = _read(document)
     open3d = load_open3d()
     _require_vulkan()
+    with _engine_in_the_log():
+        image = _rendered(open3d, drawn, width, height)
+    with outputs.drawn(path) as part:
+        if not open3d.io.write_image(str(part), open3d.geometry.Image(image)):
+            raise OutputError(f"{path} cannot be written: Open3D made no picture")
+
+
+def legend(document: Mapping[str, Any]) -> str:
+    """What the colours of a picture mean, and how large the map is."""
+    drawn = _read(document)
+    finite = drawn.scores[np.isfinite(drawn.scores)]
+    return (
+        f"keyframes: ζ from 0, dark, to {finite.max(initial=0.0):.3g}, yellow; blue: pose graph; red: collisions; "
+        f"shaded: free spheres of the worst places. The map is {drawn.size:.3g} m across."
+    )
+
+
+def _rendered(open3d: Any, drawn: _Map, width: int, height: int) -> NDArray[np.uint8]:
     renderer = open3d.visualization.rendering.OffscreenRenderer(_OVERSAMPLING * width, _OVERSAMPLING * height)
     renderer.scene.set_background([1.0, 1.0, 1.0, 1.0])
     renderer.scene.view.set_post_processing(False)
@@ -148,10 +171,28 @@ def render_png(document: Mapping[str, Any], path: Path | str, width: int = 1600,
         renderer.scene.add_geometry("minimum spheres", _worst_spheres(open3d, drawn), _material(open3d, "defaultUnlit"))
         covered = _picture(renderer, drawn, width / height)
     # The second picture laid over the first: spheres that overlap then show as one space, not as ever darker layers.
-    image = ((1 - _BALL_OPACITY) * without + _BALL_OPACITY * covered).round().astype(np.uint8)
-    with outputs.drawn(path) as part:
-        if not open3d.io.write_image(str(part), open3d.geometry.Image(image)):
-            raise OutputError(f"{path} cannot be written: Open3D made no picture")
+    return np.asarray(((1 - _BALL_OPACITY) * without + _BALL_OPACITY * covered).round(), dtype=np.uint8)
+
+
+@contextmanager
+def _engine_in_the_log() -> Iterator[None]:
+    """What Open3D's engine prints goes to the log: the engine writes past Python, to the process's own outputs."""
+    for stream in (sys.stdout, sys.stderr):
+        if stream is not None:
+            stream.flush()
+    with tempfile.TemporaryFile() as said:
+        kept = [os.dup(descriptor) for descriptor in (1, 2)]
+        try:
+            for descriptor in (1, 2):
+                os.dup2(said.fileno(), descriptor)
+            yield
+        finally:
+            for descriptor, copy in zip((1, 2), kept, strict=True):
+                os.dup2(copy, descriptor)
+                os.close(copy)
+        said.seek(0)
+        for line in said.read().decode("utf-8", "replace").splitlines():
+            _LOG.debug("%s", line)
 
 
 def _require_vulkan() -> None:
