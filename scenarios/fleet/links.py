@@ -87,7 +87,7 @@ def run(path: Path, seeds: Sequence[int], tell: Callable[[str], None]) -> list[d
 def report(rows: Sequence[dict[str, Any]]) -> list[str]:
     """A table of all mixtures."""
     lines = [
-        "| true links, wrong links | teams | maps joined, two a team | true accepted | wrong accepted | wrong rejected |",
+        "| true links, wrong links | teams | joined, two a team | true accepted | wrong accepted | wrong rejected |",
         "|---|---|---|---|---|---|",
     ]
     for true, wrong in dict.fromkeys((row["true"], row["wrong"]) for row in rows):
