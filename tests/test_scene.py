@@ -63,13 +63,14 @@ def test_picture_shows_each_layer_in_its_colour(planar, tmp_path):
     assert image.shape == (320, 480, 3)
     assert 0.5 < share(image, (255, 255, 255)) < 0.99
     assert all(share(image, color) > 1e-4 for color in (BLUE, RED, YELLOW, VIOLET))
+    assert share(image, (40, 40, 40)) > 1e-4  # the bar
     assert all((image[edge] > 250).all() for edge in (0, -1, (slice(None), 0), (slice(None), -1)))
 
 
 def test_a_legend_says_colours_and_size():
     said = scene.legend(document(True))
     assert "to 0.8, yellow" in said
-    assert "m across" in said
+    assert "m long" in said
 
 
 @needs_open3d

@@ -29,6 +29,7 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 _BLUE, _RED, _BALL = (0.18, 0.44, 0.86), (0.84, 0.15, 0.24), (0.23, 0.56, 0.53)  # as on the page
+_INK = 40  # grey of the bar
 _BALL_OPACITY = 0.2
 _WORST_PLACES = 5
 """Places whose minimum spheres are drawn: more hide the map behind them."""
@@ -150,12 +151,12 @@ def render_png(document: Mapping[str, Any], path: Path | str, width: int = 1600,
 
 
 def legend(document: Mapping[str, Any]) -> str:
-    """What the colours of a picture mean, and how large the map is."""
+    """What the colours of a picture mean, and how long its bar is."""
     drawn = _read(document)
     finite = drawn.scores[np.isfinite(drawn.scores)]
     return (
         f"keyframes: ζ from 0, dark, to {finite.max(initial=0.0):.3g}, yellow; blue: pose graph; red: collisions; "
-        f"shaded: free spheres of the worst places. The map is {drawn.size:.3g} m across."
+        f"shaded: free spheres of the worst places. The bar is {_bar(drawn, 1.6)[0]:g} m long in the middle of the map."
     )
 
 
@@ -171,7 +172,23 @@ def _rendered(open3d: Any, drawn: _Map, width: int, height: int) -> NDArray[np.u
         renderer.scene.add_geometry("minimum spheres", _worst_spheres(open3d, drawn), _material(open3d, "defaultUnlit"))
         covered = _picture(renderer, drawn, width / height)
     # The second picture laid over the first: spheres that overlap then show as one space, not as ever darker layers.
-    return np.asarray(((1 - _BALL_OPACITY) * without + _BALL_OPACITY * covered).round(), dtype=np.uint8)
+    image = np.asarray(((1 - _BALL_OPACITY) * without + _BALL_OPACITY * covered).round(), dtype=np.uint8)
+
+    # a bar in the lower left corner, as long as the legend says
+    length, thickness, margin = round(_bar(drawn, width / height)[1] * height), max(height // 150, 1), height // 25
+    image[-margin - thickness : -margin, margin : margin + length] = _INK
+    return image
+
+
+def _bar(drawn: _Map, aspect: float) -> tuple[float, float]:
+    """Length of the bar in m, and in heights of the picture: 1, 2 or 5 times a power of ten, a fifth of its width."""
+    eye, centre, _ = _camera(drawn, aspect)
+    away = float(np.linalg.norm(np.subtract(eye, centre)))
+    height_m = 2.0 * away * math.tan(math.radians(_FIELD_OF_VIEW_DEG) / 2)
+    most = 0.2 * aspect * height_m
+    ten = 10.0 ** math.floor(math.log10(most))
+    length_m = max(step * ten for step in (1, 2, 5) if step * ten <= most)
+    return length_m, length_m / height_m
 
 
 @contextmanager
