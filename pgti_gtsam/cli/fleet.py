@@ -27,13 +27,14 @@ Out = Annotated[
     Path | None, typer.Option("--out", help="Of several maps: folder of the index page, the table and each map's page.")
 ]
 Scheduler = Annotated[
-    str | None, typer.Option(help="Of several maps: address of a Dask scheduler; processes on this machine without.")
+    str | None,
+    typer.Option(help="Of several maps or parts: address of a Dask scheduler; processes on this machine without."),
 ]
 TablePath = Annotated[
     Path | None,
     typer.Option("--table", help="Of several maps: the ranking as .csv or .parquet (needs PyArrow), for pandas."),
 ]
-Workers = Annotated[int, typer.Option(min=1, help="Of several maps: processes on this machine.")]
+Workers = Annotated[int, typer.Option(min=1, help="Of several maps or parts: processes on this machine.")]
 LimitSeconds = Annotated[float, typer.Option("--limit-s", help="Of several maps: seconds that each may take.")]
 LimitMegabytes = Annotated[float, typer.Option("--limit-mb", help="Of several maps: megabytes that each may take.")]
 
