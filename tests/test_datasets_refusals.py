@@ -13,6 +13,7 @@ from pgti_gtsam import datasets
 from pgti_gtsam.datasets import reader
 from pgti_gtsam.errors import FileFormatError
 
+LONG = "9" * 5000
 UNIT = "1 0 0 1 0 1"
 SPATIAL = " ".join("1" if i == j else "0" for i in range(6) for j in range(i, 6))
 
@@ -22,6 +23,11 @@ SPATIAL = " ".join("1" if i == j else "0" for i in range(6) for j in range(i, 6)
     [
         ("num_submaps: x\n", "expected one line 'num_submaps: n'"),
         ("num_submaps: 1\nnum_submaps: 1\n", "expected one line 'num_submaps: n'"),
+        ("num_submaps: 1000000000\nnum_all_frames: 3\n", "looks like a dump of GLIM without 000000/data.txt"),
+        (f"num_submaps: {LONG}\nnum_all_frames: 3\n", "expected an identifier, a whole number below"),
+        (f"2 1 {LONG}\n0 0 1.5 2.5\n", "expected an identifier, a whole number below"),
+        ("1000000000 1 1\n0 0 1.5 2.5\n", "expected 1 observations, then 9000000003 numbers"),
+        (f"EDGE_SE2 -{LONG} 1 1 0 0 {UNIT}\n", "expected an identifier, a whole number below"),
         ("name,x,y\na,1,2\n", "looks like a table with commas"),
         ("<graph/>\n", "looks like XML"),
         (f"EDGE_SE2_OFFSET 0 1 4 4 1 0 0 {UNIT}\n", "sensor offset 4 has no PARAMS_SE2OFFSET line"),

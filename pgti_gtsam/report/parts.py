@@ -10,9 +10,11 @@ from typing import Any
 from pgti_gtsam import encode
 from pgti_gtsam.parts import DiagnosisInParts
 from pgti_gtsam.parts.scores import TIMES
+from pgti_gtsam.report.digits import in_stable_digits
 from pgti_gtsam.report.document import closure_record, estimate_record, numbers, place_record
 
 
+@in_stable_digits
 def parts_document(
     diagnosis: DiagnosisInParts, *, name: str, file_format: str, notes: Sequence[str], options: Mapping[str, Any]
 ) -> dict[str, Any]:

@@ -32,7 +32,7 @@ def parse(source: Source) -> Dataset:
         point.
     """
     file = source.file
-    n_cameras, n_points, n_seen = map(int, source.first)
+    n_cameras, n_points, n_seen = parse_table(file, file.lines[:1], ids=3, widths=[0], first=0).ids[0].tolist()
     seen = parse_table(file, file.lines[1 : 1 + n_seen], ids=2, widths=[2], first=0)
     rest = file.lines[1 + n_seen :]
     numbers = np.array(list(chain.from_iterable(parse_numbers(file, line, line.fields) for line in rest)))

@@ -14,6 +14,7 @@ the rotation vector, and files that come from iSAM hold the square root of the i
 
 from __future__ import annotations
 
+import re
 from collections.abc import Set
 from dataclasses import replace
 
@@ -34,6 +35,7 @@ from pgti_gtsam.datasets.text import TextFile, by_identifier, note_ignored
 NAME = "g2o"
 POSES = {"VERTEX_SE2": 3, "TUTORIAL_VERTEX_SE2": 3, "VERTEX_SE3:QUAT": 7, "VERTEX_SE3": 7}
 POSITION = "EDGE_SE3_PRIORXYZ"
+NEGATIVE = re.compile(r"-[0-9]{1,19}")  # identifiers of more digits are refused
 TAGS = {*POSES, *EDGES, *LANDMARK_TAGS, *CAMERA_TAGS, POSITION}
 QUIET = {*TAGS, *toro.TAGS, "FIX", "VERTEX_SWITCH", "EDGE_SWITCH_PRIOR", "PARAMS_SE2OFFSET", "PARAMS_SE3OFFSET"}
 QUIET |= {"TUTORIAL_PARAMS_SE2_OFFSET", "PARAMS_CAMERAPARAMETERS"}
@@ -104,7 +106,7 @@ def _without_negative_ids(file: TextFile) -> TextFile:
     tags = [tag for tag in POSES if tag in file.tags] or [tag for tag in EDGES if tag in file.tags]
     ends = slice(1, 2 if tags and tags[0] in POSES else 3)
     words = [word for tag in tags for line in file.tags[tag] for word in line.text.split(None, 3)[ends]]
-    lowest = min((int(word) for word in words if word.startswith("-") and word[1:].isdecimal()), default=0)
+    lowest = min((int(word) for word in words if NEGATIVE.fullmatch(word)), default=0)
     if lowest < 0:
         file.notes.append(f"identifiers are negative: keys of poses are identifiers + {-lowest}")
     return replace(file, shift=-lowest)

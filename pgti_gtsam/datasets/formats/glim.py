@@ -38,10 +38,13 @@ def parse(source: Source) -> Dataset:
     count = [line.fields[1:] for line in file.tags.get("num_submaps:", ())]
     if len(count) != 1 or len(count[0]) != 1 or not count[0][0].isdecimal():
         raise file.error("expected one line 'num_submaps: n'")
-    paths = [source.beside(f"{index:06d}") / "data.txt" for index in range(int(count[0][0]))]
-    if missing := [path for path in paths if not path.is_file()]:
-        advice = "name the folder of the dump, which holds a folder for every submap"
-        raise file.error(f"looks like a dump of GLIM without {missing[0].parent.name}/{missing[0].name}; {advice}")
+    n_submaps = parse_table(file, file.tags["num_submaps:"], ids=1, widths=[0], first=1).ids[0, 0]
+    paths: list[Path] = []
+    for index in range(n_submaps):
+        paths.append(source.beside(f"{index:06d}") / "data.txt")
+        if not paths[-1].is_file():
+            advice = "name the folder of the dump, which holds a folder for every submap"
+            raise file.error(f"looks like a dump of GLIM without {paths[-1].parent.name}/data.txt; {advice}")
     poses = dict(enumerate(map(_pose, paths)))
 
     # ties: from each submap to the next, and between matched submaps
