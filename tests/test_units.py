@@ -89,14 +89,15 @@ def test_units_change_no_decision_of_a_gated_smoother(spatial):
 
 
 def smoothed(spatial, scale):
-    """Verdict on each closure, how many were judged together, probability: of closures that come at once."""
+    """Verdict, how many were judged together, probability: of closures that come at once, and of a review afresh."""
     graph, values = laps(spatial, scale)
     offered = [graph.at(slot) for slot in range(59, graph.size())]
     steps = without(graph, range(59, graph.size()))
     pose = values.atPose3(0) if spatial else values.atPose2(0)
     prior = gtsam.PriorFactorPose3 if spatial else gtsam.PriorFactorPose2
     steps.push_back(prior(0, pose, steps.at(0).noiseModel()))
-    decisions = pgti.GatedISAM2(radii=scale * RADIUS).update(steps, values, offered).decisions
+    smoother = pgti.GatedISAM2(radii=scale * RADIUS)
+    decisions = [*smoother.update(steps, values, offered).decisions, *smoother.review_afresh().decisions.values()]
     return [(decision.verdict, decision.judged_with, decision.probability) for decision in decisions]
 
 
