@@ -373,11 +373,11 @@ def mended_maps(
     seeds: Annotated[str, typer.Option(help="Seeds of thinned loops and of drives, between commas.")] = "0",
     out: Annotated[Path, typer.Option(help="Where the JSON goes; known rows are kept.")] = RESULTS / "mend.json",
 ) -> None:
-    """Scan graphs, a raw log and worlds with clouds on disk, mended; false ties, errors, sharpness. Ten minutes."""
+    """Scan graphs, a raw log and worlds with clouds on disk, mended; false ties, errors, sharpness. Half an hour."""
     for line in mended_tables.lines(mending.run(data, _whole_numbers(seeds), out, print)):
         print(line)
     if data is not None:
-        mended_figure.draw(data / "scan_pose_graphs" / "mit-cscail.log", out.with_suffix(".png"))
+        mended_figure.draw(data / "radish_aces" / "aces.clf.bz2", out.with_suffix(".png"))
     print(f"results: {out}")
 
 

@@ -34,7 +34,7 @@ from pgti_gtsam.mend.wanted import asked_for, wanted_ties
 from pgti_gtsam.pose_graph import Radii, key_label
 from pgti_gtsam.track import track_of
 
-MOST_ROUNDS = 20
+MOST_ROUNDS = 40
 """Times that the map is audited anew, and other pairs of its untied places are tried."""
 
 MOST_CHECKS = 3

@@ -25,8 +25,12 @@ SPACED = 1.0
 LOOSE = OFFSET
 """Allowance of the drift, in ρ, from which one more tie is wanted: what a match errs itself."""
 
-UNASKED: tuple[Kind, ...] = ("different view", "incomplete fusion")
-"""Places where no tie is asked for."""
+SURER = 2.0
+"""Ties of a round: up to this factor of the smallest allowance. Ties that come in make others surer."""
+
+UNASKED: tuple[Kind, ...] = ("undecided contact", "different view", "incomplete fusion")
+"""Places where no tie is asked for. Where the audit does not know whether two passes meet, as between storeys that look
+alike, scans that fit are no proof: other ties have to tell first."""
 
 Pairs = NDArray[np.int64]
 Known = Callable[[tuple[int, int], float], bool]
@@ -46,7 +50,7 @@ def asked_for(diagnosis: Diagnosis) -> dict[tuple[int, int], Kind]:
 def wanted_ties(
     diagnosis: Diagnosis, reference: ReferenceMap, asked_before: Collection[tuple[int, int]], is_known: Known
 ) -> list[Wanted]:
-    """Ties that a map lacks, the surest predictions first.
+    """The surest of the ties that a map lacks, the surest first.
 
     Ties are wanted where the audit asks, and where the audit asked before, until the drift allows no more than a match
     errs. Keyframes that the map ties as it came, directly or by explained overlaps, need none: a consistent map stays.
@@ -77,10 +81,10 @@ def wanted_ties(
     wanted = np.isfinite(allowances)
     wanted &= (np.arange(len(pairs)) < len(asked)) | (allowances > LOOSE * diagnosis.unit_m)
 
-    # those that were not tried, apart from each other
+    # those that were not tried, the surest, apart from each other
     ends = [(int(i), int(j)) for i, j in diagnosis.pose_graph.keys[pairs].tolist()]
     wanted &= [not is_known(keys, allowed) for keys, allowed in zip(ends, allowances.tolist(), strict=True)]
-    chosen = np.flatnonzero(wanted)
+    chosen = np.flatnonzero(wanted & (allowances <= SURER * allowances[wanted].min(initial=np.inf)))
     chosen = chosen[_spaced(along[pairs[chosen]])]
     found = [
         _wanted(reference, (i, j), kinds.get((i, j)), spread, allowed)

@@ -27,6 +27,9 @@ from pgti_gtsam.mend.submap import Submap
 REACH_M, LATER, EVERY = 5.0, 40, 3
 """Distance within which pairs are tried, keyframes between them, and of how many later ones each is tried."""
 
+REGION = np.array([0.3, 0.3, 0.08])
+"""Standard deviations of its predictions, in ρ and rad: one start each."""
+
 MATCHED = 0.6
 """Share of points with a counterpart from which brute force keeps a fit."""
 
@@ -42,7 +45,7 @@ def row(path: Path) -> dict[str, Any]:
     # odometry alone, mended
     whole = datasets.read(path)
     relations = [whole.graph.at(slot) for slot in whole.closures or ()]
-    dataset = replace(whole, graph=_odometry(whole), closures=())
+    dataset = replace(whole, graph=odometry_of(whole), closures=())
     started = time.process_time()
     mended = pgti.mend(dataset.graph, dataset.values, pgti.scans_of(dataset.scans), radii=dataset.radii)
     seconds = time.process_time() - started
@@ -51,7 +54,7 @@ def row(path: Path) -> dict[str, Any]:
     started = time.process_time()
     fits = _brute_force(dataset)
     robust = _gnc(dataset, fits)
-    best = _optimum(whole)
+    best = optimum_of(whole)
     intact = pgti.mend(whole.graph, best, pgti.scans_of(whole.scans), radii=whole.radii, closures=whole.closures)
     return {
         "n_keyframes": dataset.values.size(),
@@ -76,7 +79,8 @@ def row(path: Path) -> dict[str, Any]:
     }
 
 
-def _odometry(dataset: Dataset) -> gtsam.NonlinearFactorGraph:
+def odometry_of(dataset: Dataset) -> gtsam.NonlinearFactorGraph:
+    """The factors of a log without loops."""
     graph = gtsam.NonlinearFactorGraph()
     for slot in range(dataset.graph.size()):
         if slot not in (dataset.closures or ()):
@@ -114,7 +118,7 @@ def _brute_force(dataset: Dataset) -> list[gtsam.BetweenFactorPose2]:
     near = KDTree([pose.translation() for pose in poses]).query_pairs(REACH_M, output_type="ndarray")
     model, found = gtsam.noiseModel.Diagonal.Sigmas(SIGMAS), []
     for i, j in near[(np.diff(near, axis=1)[:, 0] > LATER) & (near[:, 1] % EVERY == 0)].tolist():
-        fit = align(clouds[i], clouds[j], poses[i].between(poses[j]), np.zeros((3, 3)))
+        fit = align(clouds[i], clouds[j], poses[i].between(poses[j]), np.diag((REGION * [unit, unit, 1]) ** 2))
         if fit is not None and fit.matched >= MATCHED:
             found.append(gtsam.BetweenFactorPose2(keys[i], keys[j], fit.pose, model))
     return found
@@ -133,7 +137,8 @@ def _gnc(dataset: Dataset, fits: list[gtsam.BetweenFactorPose2]) -> gtsam.Values
     return gtsam.GncLMOptimizer(graph, dataset.values, parameters).optimize()
 
 
-def _optimum(dataset: Dataset) -> gtsam.Values:
+def optimum_of(dataset: Dataset) -> gtsam.Values:
+    """The optimum of all factors of a log in the plane, the first keyframe held."""
     graph = gtsam.NonlinearFactorGraph(dataset.graph)
     graph.add(gtsam.PriorFactorPose2(0, dataset.values.atPose2(0), gtsam.noiseModel.Isotropic.Sigma(3, 1e-3)))
     return gtsam.LevenbergMarquardtOptimizer(graph, dataset.values).optimize()

@@ -12,11 +12,11 @@ from matplotlib.figure import Figure
 import pgti_gtsam as pgti
 from pgti_gtsam import datasets, outputs
 from pgti_gtsam.datasets import Dataset
-from scenarios.mend.logs import chained, damaged
+from scenarios.mend.aces import odometry_of
 
 
 def draw(log: Path, out: Path) -> None:
-    """Mend a scan graph without its loops, and draw both maps.
+    """Mend the odometry of a raw log, and draw both maps.
 
     Parameters
     ----------
@@ -24,11 +24,11 @@ def draw(log: Path, out: Path) -> None:
     out : Path
     """
     dataset = datasets.read(log)
-    graph, _ = damaged(dataset, "odometry", np.random.default_rng(0))
-    mended = pgti.mend(graph, chained(dataset), pgti.scans_of(dataset.scans), radii=dataset.radii)
+    scans = pgti.scans_of(dataset.scans)
+    mended = pgti.mend(odometry_of(dataset), dataset.values, scans, radii=dataset.radii)
     ties = mended.of("confirmed")
-    figure = Figure(figsize=(9, 5), layout="constrained")
-    before, after = figure.subplots(1, 2, sharex=True, sharey=True)
+    figure = Figure(figsize=(9, 4.5), layout="constrained")
+    before, after = figure.subplots(1, 2)
     _map(before, dataset, mended.before_values, "odometry")
     _map(after, dataset, mended.values, f"mended: {len(ties)} ties that scans confirm")
     for attempt in ties:

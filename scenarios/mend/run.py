@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from pgti_gtsam import outputs
-from scenarios.mend import aces, logs, worlds
+from scenarios.mend import aces, fits, logs, worlds
 
 Found = dict[str, list[dict[str, Any]]]
 
@@ -38,9 +38,13 @@ def run(data: Path | None, seeds: Sequence[int], out: Path, tell: Callable[[str]
         for seed in seeds if kind.startswith("a tenth") else seeds[:1]:
             path = Path(data or "") / "scan_pose_graphs" / f"{log}.log"
             keep("logs", {"log": log, "kind": kind, "seed": seed}, lambda p=path, k=kind, s=seed: logs.row(p, k, s))
+    if data is not None:
+        keep("aces", {"log": "aces"}, lambda: aces.row(Path(data) / "radish_aces" / "aces.clf.bz2"))
     for world in worlds.WORLDS:
         for seed in seeds:
             keep("worlds", {"world": world, "seed": seed}, lambda w=world, s=seed: worlds.row(w, s))
-    if data is not None:
-        keep("aces", {"log": "aces"}, lambda: aces.row(Path(data) / "radish_aces" / "aces.clf.bz2"))
+    for use, names in (("chosen on", fits.CHOSEN), ("checked on", fits.CHECKED)):
+        for name in names:
+            if data is not None or " " in name:
+                keep("fits", {"use": use, "name": name}, lambda n=name: fits.row(n, data))
     return found

@@ -38,7 +38,19 @@ def lines(found: Mapping[str, Sequence[Row]]) -> list[str]:
         head = ["world", "seed", "keyframes", "ties in", "false in", "wrong floor", "naive: ties, false, wrong floor"]
         rows = [_world(row) for row in found["worlds"]]
         told += _table([*head, "ATE before, after (m)", "verdict", "seconds"], rows)
+    if found.get("fits"):
+        head = ["constants", "fits of", "true: confirmed of", "slipped: confirmed of", "elsewhere: confirmed of"]
+        told += _table([*head, "misses of ties in sigmas: median, 90 %"], [_fits(row) for row in found["fits"]])
     return told
+
+
+def _fits(row: Row) -> list[str]:
+    return [
+        row["use"],
+        row["name"],
+        *(f"{row[f'{kind}_confirmed']} of {row[f'n_{kind}']}" for kind in ("true", "slipped", "elsewhere")),
+        ", ".join("–" if row[key] is None else f"{row[key]:.2f}" for key in ("sigmas_median", "sigmas_90")),
+    ]
 
 
 def _log(row: Row) -> list[str]:

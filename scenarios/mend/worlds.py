@@ -23,6 +23,7 @@ from scenarios import worlds
 from scenarios.measures import trajectory_errors
 from scenarios.problem import between
 from scenarios.worlds.sensors import Sensor
+from scenarios.worlds.solid import Array, Solid
 
 WORLDS = ("streets", "garage", "storeys")
 FLOOR_M = 2.0
@@ -115,9 +116,22 @@ def _write(driven: worlds.Drive, folder: Path) -> None:
     datasets.write_g2o(graph, values, folder / "map.g2o")
     (folder / "clouds").mkdir()
     for key, pose in enumerate(driven.truth):
-        seen = sensor.scan(driven.layout.solid, pose)
-        hit = np.isfinite(seen.distances)
-        ranges = seen.distances[hit] + random.normal(0.0, sensor.noise_m, int(hit.sum()))
-        points = seen.points[hit] * (ranges / seen.distances[hit])[:, None]
+        points = seen_from(sensor, driven.layout.solid, pose, random)
         cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(points))
         open3d.io.write_point_cloud(str(folder / "clouds" / f"{key:06d}.pcd"), cloud)
+
+
+def seen_from(sensor: Sensor, solid: Solid, pose: gtsam.Pose3, random: np.random.Generator) -> Array:
+    """Points of a scan with the sensor's noise, (n, 3) m, seen from the pose.
+
+    Parameters
+    ----------
+    sensor : Sensor
+    solid : Solid
+    pose : gtsam.Pose3
+    random : numpy.random.Generator
+    """
+    seen = sensor.scan(solid, pose)
+    hit = np.isfinite(seen.distances)
+    ranges = seen.distances[hit] + random.normal(0.0, sensor.noise_m, int(hit.sum()))
+    return np.asarray(seen.points[hit] * (ranges / seen.distances[hit])[:, None])
