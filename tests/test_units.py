@@ -14,14 +14,14 @@ from test_datasets_rtabmap import truth
 
 import pgti_gtsam as pgti
 from pgti_gtsam.datasets import write_g2o
-from pgti_gtsam.factor_graphs import without
+from pgti_gtsam.factor_graphs import keys_of, without
 from pgti_gtsam.report.digits import packable, stable
 
 UTM = np.array([5e5, 5e6, 100.0])  # m
 FRAMES = {"µm": (1e6, 0.0), "Mm": (1e-6, 0.0), "UTM": (1.0, UTM), "UTM in µm": (1e6, 1e6 * UTM)}
 CLOSURES = [(2, 22), (10, 30), (25, 45), (33, 53), (15, 56)]
 FALSE = [(5, 48), (0, 37)]
-RADIUS = 3.0  # m
+RADIUS, WIDE = 3.0, 30.0  # m
 
 
 def laps(spatial, scale=1.0, offset=0.0, n=60):
@@ -99,6 +99,30 @@ def smoothed(spatial, scale):
     smoother = pgti.GatedISAM2(radii=scale * RADIUS)
     decisions = [*smoother.update(steps, values, offered).decisions, *smoother.review_afresh().decisions.values()]
     return [(decision.verdict, decision.judged_with, decision.probability) for decision in decisions]
+
+
+@pytest.mark.parametrize("scale", [1e3, 1e-3])
+def test_units_change_no_review_of_two_robots(scale):
+    """Ways along the tracks of several robots say which closures are of one revisit."""
+    assert reviewed(scale) == reviewed(1.0)
+
+
+def reviewed(scale):
+    """Verdict and size of the revisit of every closure, where the second half of the track is another robot's."""
+    graph, values = laps(False, scale)
+    keys = {key: gtsam.symbol("b", key) if key >= 30 else key for key in range(60)}
+    renamed = gtsam.Values()
+    for key, new in keys.items():
+        renamed.insert(new, values.atPose2(key))
+    factors = [graph.at(slot).rekey([keys[key] for key in keys_of(graph.at(slot))]) for slot in range(64)]
+    steps, noise = gtsam.NonlinearFactorGraph(), factors[0].noiseModel()
+    for factor in [*factors[:59], gtsam.PriorFactorPose2(0, values.atPose2(0), noise)]:
+        steps.push_back(factor)
+    smoother = pgti.GatedISAM2(radii=scale * WIDE)
+    smoother.update(steps, renamed, factors[59:])
+    decisions = smoother.review().decisions
+    assert max(each.judged_with for each in decisions.values()) > 1
+    return {number: (each.verdict, each.judged_with) for number, each in decisions.items()}
 
 
 def test_seeds_of_hashes_and_threads_change_no_byte(tmp_path):
