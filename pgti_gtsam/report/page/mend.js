@@ -107,6 +107,7 @@ function start() {
   if (location.hash === "#before") byId("show-before").checked = true;
   if (attempts.length) choose(asked ? Math.min(Number(asked[1]), attempts.length) - 1 : 0);
   else drawMap();
+  byId("pair-card").hidden = !attempts.length;
 }
 
 start();
