@@ -12,12 +12,20 @@ from pgti_gtsam import cli
 from pgti_gtsam.cli import progress
 
 
+@pytest.fixture(autouse=True)
+def log_as_before():
+    """What a command run in this process does to the package's log ends with the test."""
+    log = logging.getLogger("pgti_gtsam")
+    level, handlers, propagates = log.level, [*log.handlers], log.propagate
+    yield
+    log.setLevel(level)
+    log.handlers, log.propagate = handlers, propagates
+
+
 @pytest.fixture
 def run(monkeypatch, capsys):
     """Run the command line in this process: exit code, standard output, standard error without progress."""
     monkeypatch.setattr(progress, "EVERY_S", float("inf"))
-    log = logging.getLogger("pgti_gtsam")
-    level, handlers, propagates = log.level, log.handlers, log.propagate
 
     def call(*words):
         monkeypatch.setattr(sys, "argv", ["pgti-gtsam", *map(str, words)])
@@ -25,6 +33,4 @@ def run(monkeypatch, capsys):
             cli.main()
         return stop.value.code or 0, *capsys.readouterr()
 
-    yield call
-    log.setLevel(level)
-    log.handlers, log.propagate = handlers, propagates
+    return call
