@@ -33,6 +33,12 @@ def test_the_growth_of_a_power_law_is_its_exponent():
     assert speed.growth(rows) == {"chain": pytest.approx(1.1)}
 
 
+def test_the_dense_solver_is_timed_by_the_clock_on_more_than_a_core():
+    (row,) = speed.in_fresh_process("cores", "random-300", 0, None, threads=2)
+    assert row["n_vertices"] == 300
+    assert 0 < row["seconds"] < 60
+
+
 def test_every_solver_is_timed_and_compared_with_dense():
     rows = {row["solver"]: row for row in speed.in_fresh_process("solvers", "chain-200", 1000, None)}
     assert set(rows) == set(solvers.SOLVERS)

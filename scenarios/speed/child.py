@@ -12,6 +12,7 @@ if __name__ == "__main__":
     part, case, dense_up_to, data = sys.argv[1], sys.argv[2], int(sys.argv[3]), Path(sys.argv[4] or ".")
     measure = {
         "solvers": lambda: solvers.solved(case, data, dense_up_to),
+        "cores": lambda: solvers.by_the_clock(case, data),
         "audits": lambda: parts.audit(case, data),
         "updates": lambda: parts.updates(case),
         "decisions": lambda: parts.decisions(case, data),
