@@ -327,12 +327,25 @@ def test_a_dry_run_writes_no_map_and_proposals_are_a_file_for_a_matcher(run, log
     assert run("mend", bare, "--radius", 1)[0] == 2
 
 
-@needs_chromium
-def test_the_page_draws_itself(mended, tmp_path):
+def document_of(mended):
+    """Everything on the page, with a name that must stay text."""
     graph, false = gtsam.NonlinearFactorGraph(mended.graph), next(iter(mended.out))
     graph.replace(false, gtsam.BetweenFactorPose2(10, 60, gtsam.Pose2(), gtsam.noiseModel.Unit.Create(3)))
-    document = mended_document(mended, graph, name="</script><b>ring", file_format="fabricated")
-    write_mended_page(document, tmp_path / "page.html")
+    return mended_document(mended, graph, name="</script><b>ring", file_format="fabricated")
+
+
+def test_a_page_far_from_the_origin_draws_walls_beside_their_keyframes(mended):
+    far, moved = gtsam.Pose2(5e5, 5e6, 0.0), gtsam.Values()
+    for key in mended.values.keys():  # noqa: SIM118
+        moved.insert(key, far.compose(mended.values.atPose2(key)))
+    after = document_of(replace(mended, values=moved))["after"]
+    expected = [[*moved.atPose2(int(key)).translation()] for key in mended.after.pose_graph.keys]
+    np.testing.assert_allclose(np.array(after["pose"])[:, :2], expected, atol=1e-5, rtol=0)
+
+
+@needs_chromium
+def test_the_page_draws_itself(mended, tmp_path):
+    write_mended_page(document_of(mended), tmp_path / "page.html")
     dom = dom_of_page(tmp_path / "page.html")
     assert "data-errors" not in dom
     assert dom.count(">confirmed</strong>") == len(mended.of("confirmed"))

@@ -167,6 +167,9 @@ def test_digits_of_documents():
     np.testing.assert_allclose(found["score"], numbers, rtol=5e-6)
     assert stable({"score": (numbers * (1 + 1e-12)).tolist()})["score"] == found["score"]
     assert (found["keyframes"], found["n"], found["words"]) == ({"position": [1 / 3]}, 1234567, "1.23456789")
+    assert stable({"after": {"pose": [[500000.125, 5000000.25, 0.1]]}}) == {
+        "after": {"pose": [[500000.125, 5000000.25, 0.1]]}
+    }
     assert stable({"a": [0.0, -1.23456789e-7, 0.99999951]}) == {"a": [0.0, -1.23457e-7, 1.0]}
     packed = packable(numbers.reshape(10, 100))
     np.testing.assert_allclose(packed, numbers.reshape(10, 100), rtol=5e-4)

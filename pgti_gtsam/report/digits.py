@@ -22,7 +22,7 @@ number in a run of some 300."""
 PACKED_DIGITS = 4
 """Significant digits of signatures, which are drawn, and of which a document holds some 300 000."""
 
-AS_READ = frozenset({"position", "radius", "options"})
+AS_READ = frozenset({"position", "pose", "radius", "options"})
 """Parts of a document that stay: lengths of the map, whose digits may be those of a coordinate far from zero."""
 
 
