@@ -112,6 +112,7 @@ def optimality(
     Optimality
         A single vertex has an empty spectrum: all four are zero.
     """
+    # one Laplacian for each criterion
     if n_vertices < 2:
         return Optimality(d=0.0, t=0.0, e=0.0, e_tilde=0.0)
     count, labels = connected_components(n_vertices, edges)
@@ -119,6 +120,8 @@ def optimality(
         matrices = [laplacian(n_vertices, edges)] * 4
     else:
         matrices = [laplacian(n_vertices, edges, column) for column in weights.T]
+
+    # ends of the spectra, and the product of the eigenvalues
     if kernel is not None:
         smallest, largest = kernel.smallest_positive, kernel.largest
     else:

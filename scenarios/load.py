@@ -143,6 +143,8 @@ def _drive(taker: str, n_closures: int, seed: int, take: Callable[[Step], int], 
     steps: Iterator[Step] = drive(LAP + n_closures, seed, every=1)
     for k, step in enumerate(steps, start=1):
         accepted += take(step)
+
+        # report now and then
         if k >= LAP and (k - LAP) % max(n_closures // POINTS, 1) == 0:
             now = _busy_s(process)
             pipe.send(

@@ -183,6 +183,7 @@ def _ate_m(given: Loops, values: gtsam.Values) -> float:
 
 def report(rows: Sequence[dict[str, Any]]) -> Iterator[str]:
     """False closures accepted by their error, and the trajectory's error."""
+    # a row for each radius and information
     sizes = [f"{low:g} to {high:g} m" for low, high in pairwise(SIZES_M)]
     yield "| radius | information | true | false | " + " | ".join(sizes) + " | error | of only true ones |"
     yield "|---|" + "---|" * (len(sizes) + 5)
@@ -194,6 +195,8 @@ def report(rows: Sequence[dict[str, Any]]) -> Iterator[str]:
             f"{row['false_accepted']} of {row['false']} | {' | '.join(cells)} | {row['ate_m']:.2f} m | "
             f"{row['ate_only_true_m']:.2f} m |"
         )
+
+    # what the label cuts, and what a limit on disagreement would take out
     edges = np.arange(0.0, SIZES_M[-2] + WIDTH_M, WIDTH_M)
     counts = np.histogram([*rows[0]["true_missed_m"], *rows[0]["false_missed_m"]], edges)[0]
     yield f"\nloops by their miss, each {WIDTH_M:g} m from 0 on: " + ", ".join(map(str, counts))

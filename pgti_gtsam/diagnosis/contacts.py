@@ -224,14 +224,19 @@ class Contacts:
 
     def _untied_passes(self) -> list[Place]:
         """Explained overlaps between which the drift allows more than the spheres reach."""
+        # how much more, where overlaps were sampled
         sampled, cell_of = self.loose[self.near_by.first], self.near_by.cell_of
         reach = self.pose_graph.radii[sampled].sum(axis=1)
         allowed = np.array([self._allowance_m(tuple(pair)) for pair in sampled.tolist()])
         excess = np.divide(allowed, reach, out=np.zeros_like(reach), where=reach > 0)
+
+        # the passes of such overlaps, loosest first
         untied = np.flatnonzero((excess > UNTIED)[cell_of])
         groups = neighbourhoods(self.loose[untied], places_on(self.pose_graph, self.track), SAMPLED).group_of
         passes = [untied[groups == group] for group in range(groups.max(initial=-1) + 1)]
         passes.sort(key=lambda own: -excess[cell_of[own]].max())
+
+        # a place for all that one tie holds
         found = []
         for together in _by_later_stretch(passes, self.loose):
             loosest = sampled[cell_of[together[0]][np.argmax(excess[cell_of[together[0]]])]]

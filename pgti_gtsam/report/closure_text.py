@@ -72,6 +72,7 @@ def print_closures(records: Sequence[Mapping[str, Any]], console: Console) -> No
         As `closures_document` orders them.
     console : Console
     """
+    # columns
     table = Table(box=None, pad_edge=False, header_style="dim")
     is_known = any(record["is_true"] is not None for record in records)
     table.add_column("verdict")
@@ -79,6 +80,8 @@ def print_closures(records: Sequence[Mapping[str, Any]], console: Console) -> No
         table.add_column(name, justify="right", no_wrap=True)
     if is_known:
         table.add_column("known")
+
+    # a row each
     for record in records[:MAX_CLOSURES]:
         terms = record["terms"]
         table.add_row(
@@ -89,6 +92,8 @@ def print_closures(records: Sequence[Mapping[str, Any]], console: Console) -> No
             *(_share(terms[name]["log_odds"]) if name in terms else "–" for name in ("drift", "contact_rise")),
             _known(record),
         )
+
+    # the table, and how many more there are
     if records:
         console.print(table)
         console.print(Text(TERMS, style="dim"))

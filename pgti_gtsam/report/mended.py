@@ -56,11 +56,14 @@ def mended_document(
     names : mapping of int to str, optional
         Numbers of variables in the map's file: see `write_g2o`.
     """
+    # ties that were tried, confirmed ones first
     pose_graph = mended.before.pose_graph
     rows = {int(key): k for k, key in enumerate(pose_graph.keys)}
     order = {"confirmed": 0, "undecided": 1, "refused": 2}
     attempts = sorted(mended.attempts, key=lambda each: (order[each.outcome], _is_extra(each), sorted(each.keys)))
     vertices, edges = g2o_lines(attempts, mended.values, names)
+
+    # the map before and after, and all closures
     return {
         **encode.heading("mend"),
         "input": {"name": name, "format": file_format, "notes": list(notes)},

@@ -38,11 +38,14 @@ def replay_document(replay: Replay, *, name: str, file_format: str, notes: Seque
     notes : sequence of str
         Notes on the input.
     """
+    # whether the estimate moved, and colours
     pose_graph, final = replay.pose_graph, replay.pose_graph.positions.astype(np.float32)
     still = all((moment.positions == final[: moment.n_keyframes]).all() for moment in replay.moments)
     tops = [_top(moment.keyframe_scores) for moment in replay.moments]
     levels = [_levels(moment.keyframe_scores, top) for moment, top in zip(replay.moments, tops, strict=True)]
     support = support_graph(pose_graph) if still else None
+
+    # the map, and its curves
     return {
         **encode.heading("replay-page", 1),
         "input": {"name": name, "format": file_format, "notes": list(notes)},

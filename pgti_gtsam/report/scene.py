@@ -86,12 +86,15 @@ def show(document: Mapping[str, Any]) -> None:
     InvalidValueError
         The document has another schema.
     """
+    # a document that can be drawn, and a display
     drawn = _read(document)
     open3d = load_open3d()
     if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise MissingDependencyError(
             "there is no display to open a window on: write a picture instead, with --png FILE"
         )
+
+    # layers, seen from the camera
     eye, centre, up = _camera(drawn, aspect=1.6)
     layers = [*_solids(open3d, drawn)]
     if len(drawn.worst):

@@ -84,6 +84,7 @@ def print_parts(document: Mapping[str, Any], console: Console) -> None:
         As `parts_document` makes it.
     console : Console
     """
+    # numbers of the parts
     summary, parts = document["summary"], document["parts"]
     rows = {
         "keyframes": f"{summary['n_keyframes']} in {len(parts)} parts, the largest with "
@@ -97,6 +98,8 @@ def print_parts(document: Mapping[str, Any], console: Console) -> None:
     table = _pairs()
     for name, value in rows.items():
         table.add_row(Text(name), Text(value))
+
+    # the verdict, places, closures, and the numbers
     console.print(
         Group(
             _heading(document),

@@ -123,6 +123,7 @@ def paired(rows: Sequence[dict[str, Any]]) -> Iterator[str]:
 
 def _counts(rows: Sequence[dict[str, Any]]) -> dict[str, str]:
     """The compared numbers of a camera's maps."""
+    # verdicts of all maps, and overlaps of intact ones
     right = sum(row["verdict"] == row["expected"] for row in rows)
     open_ = sum(row["verdict"] == "undecided" for row in rows)
     one = [row for row in rows if len(row["ranks"]) == 1]
@@ -132,6 +133,8 @@ def _counts(rows: Sequence[dict[str, Any]]) -> dict[str, str]:
         sum(row[f"{name}_{what}"] for row in intact for name in ("fusion", "collision"))
         for what in ("turned", "walled")
     )
+
+    # in words
     return {
         "maps": str(len(rows)),
         "verdict right, undecided, wrong": f"{right}, {open_}, {len(rows) - right - open_}",

@@ -67,6 +67,7 @@ def row(n: int, way: str) -> Row:
         Keyframes.
     way : {"whole", "parts"}
     """
+    # the audit
     built = city(n, untied=UNTIED)
     before, started = time.process_time(), time.monotonic()
     found: Any
@@ -77,6 +78,8 @@ def row(n: int, way: str) -> Row:
         with spread(workers=1) as each:
             found = diagnose_parts(built.graph, built.values, parts=max(n // CORE, 2), radii=RADIUS, each=each)
         more = _told(found, found.compared) | _of_parts(found)
+
+    # its time and memory
     own, children = (resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
     return {
         "keyframes": n,

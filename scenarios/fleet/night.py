@@ -172,6 +172,7 @@ def _compared(place: int, row: dict[str, Any]) -> dict[str, Any]:
 
 def report(found: dict[str, Any]) -> list[str]:
     """The findings, in lines."""
+    # verdicts by kind of damage
     maps = found["maps"]
     kinds = {
         "intact": [each for each in maps if not each["size"]],
@@ -184,6 +185,8 @@ def report(found: dict[str, Any]) -> list[str]:
         verdicts = [each["verdict"] for each in own]
         counts = [str(verdicts.count(v)) for v in ("consistent", "incomplete", "undecided", "inconsistent")]
         lines.append(f"| {name} | {len(own)} | {' | '.join(counts)} |")
+
+    # the ranking, and how the run went
     exact = sum(each["false_closures"] == each["false"] for each in maps)
     return [
         *lines,
