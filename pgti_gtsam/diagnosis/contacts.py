@@ -306,7 +306,9 @@ class Contacts:
             return None
         own = np.arange(len(covariance))[self.settled.model.translation]
         turn = np.setdiff1d(np.arange(len(covariance)), own)
-        turn_rad = float(np.sqrt(np.linalg.eigvalsh(covariance[np.ix_(turn, turn)])[-1]))
+        turned = np.linalg.eigvalsh(covariance[np.ix_(turn, turn)])[-1]
+        if turned < 0:  # rounding beside measurements far beyond the map
+            return None
 
         # from the model's frames to the caller's
         first, second = (self.settled.poses[k] for k in pair)
@@ -317,7 +319,7 @@ class Contacts:
             pose=turn.compose(first.between(second)).compose(turn.inverse()),
             covariance=carry @ covariance @ carry.T,
             sigma_m=shift_m,
-            sigma_deg=float(np.degrees(turn_rad)),
+            sigma_deg=float(np.degrees(np.sqrt(turned))),
             search_m=SEARCH * shift_m,
         )
 
