@@ -100,18 +100,18 @@ class GatedSmoother(ABC):
         check_map(factors, values)
         if factors.nrFactors() < factors.size():
             factors = graph_of(factors_of(factors))
-        news = News(self._map, factors, values, self._grown_radii(radii))
+        news = News(self._map, factors, values, self.radii if radii is None else self._grown_radii(radii))
         self._check_news(news, options)
         if closures:
             return self._updated_with(closures, news, options)
 
         # one step of the smoother, and nothing to judge
-        step = self._step([factors], values, options)
+        result, (slots,), is_appended = self._step((factors,), values, options)
         self.radii = news.radii
-        self._kept.note(factors, values, step.slots[0])
-        if not step.is_appended:
+        self._kept.note(factors, values, slots)
+        if not is_appended:
             self._kept.forget()
-        return GatedUpdate(factor_slots=step.slots[0], result=step.result)
+        return GatedUpdate(factor_slots=slots, result=result)
 
     def _updated_with(self, closures: Sequence[Closure], news: News, options: Mapping[str, Any]) -> GatedUpdate:
         """An update with closures: of the new and the waiting, those that pass together."""
@@ -229,9 +229,7 @@ class GatedSmoother(ABC):
             raise InvalidOptionError(f"expected what review() returned, got {shown(review)}")
         self._replace(review.leaving, review.entering)
 
-    def _grown_radii(self, radii: Mapping[int, float] | None) -> Radii | None:
-        if radii is None:
-            return self.radii
+    def _grown_radii(self, radii: Mapping[int, float]) -> Radii:
         if not isinstance(self.radii, Mapping | None):
             raise InvalidOptionError(f"expected no radii of single keyframes, since all have {self.radii} m, got some")
         return {**(self.radii or {}), **radii}

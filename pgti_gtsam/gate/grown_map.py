@@ -76,7 +76,8 @@ class GrownMap:
 
     @classmethod
     def of(cls, reference: ReferenceMap) -> GrownMap:
-        """A reference map, and nothing since."""
+        """A reference map, without its contacts and its factors for scores, and nothing since."""
+        reference = replace(reference)
         model, keys = reference.settled.model, reference.pose_graph.keys.tolist()
         d = len(model.spread)
         return cls(

@@ -12,7 +12,7 @@ from pgti_gtsam.factor_graphs import factors_of
 from pgti_gtsam.gate.decision import ClosureDecision
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(slots=True, kw_only=True, eq=False)
 class GatedUpdate:
     """The result of an update.
 

@@ -157,10 +157,11 @@ class GatedISAM2(GatedSmoother):
         """A step of the smoother; a failed step makes the smoother anew."""
         # what comes and goes
         graph = self.smoother.getFactorsUnsafe()
+        size = graph.size()
         options = {**options, "removeFactorIndices": list(removed)} if removed else options
         came = graphs[0] if len(graphs) == 1 else joined(*graphs)
-        gone = {slot: graph.at(slot) for slot in options.get("removeFactorIndices", ()) if slot < graph.size()}
-        size = graph.size()
+        going = options.get("removeFactorIndices", ()) if options else ()
+        gone = {slot: graph.at(slot) for slot in going if slot < size}
 
         # the step
         try:
@@ -172,6 +173,8 @@ class GatedISAM2(GatedSmoother):
                 f"expected an update that iSAM2 can take, got: {in_a_line(error)}; the smoother was made anew with "
                 "the factors from before"
             ) from error
-        slots = iter(result.getNewFactorsIndices())
-        own = [tuple(islice(slots, graph.size())) for graph in graphs]
-        return Step(result=result, slots=own, is_appended=not options)
+        slots = result.getNewFactorsIndices()
+        if len(graphs) == 1:
+            return Step(result, [tuple(slots)], not options)
+        left = iter(slots)
+        return Step(result, [tuple(islice(left, graph.size())) for graph in graphs], not options)

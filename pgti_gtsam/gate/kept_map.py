@@ -47,19 +47,19 @@ class News(NamedTuple):
 
 def check_news(news: News) -> None:
     """Refuse new factors and values that do not belong to a map."""
-    has, new = news.map.valueExists, set(news.values.keys())
-    known = next(filter(has, new), None)
-    if known is not None:
-        raise InvalidOptionError(
-            f"expected values of new variables only, got one for {gtsam.DefaultKeyFormatter(known)}, which the "
-            "smoother has; leave it out"
-        )
-    missing = next((key for key in news.factors.keyVector() if key not in new and not has(key)), None)
-    if missing is not None:
-        raise MissingValueError(
-            f"expected a value for every key, got none for {gtsam.DefaultKeyFormatter(missing)}; "
-            "add it to the values or leave its factors out"
-        )
+    has, is_new = news.map.valueExists, news.values.exists
+    for key in news.values.keys():  # noqa: SIM118, which Values is no dict for
+        if has(key):
+            raise InvalidOptionError(
+                f"expected values of new variables only, got one for {gtsam.DefaultKeyFormatter(key)}, which the "
+                "smoother has; leave it out"
+            )
+    for key in news.factors.keyVector():
+        if not is_new(key) and not has(key):
+            raise MissingValueError(
+                f"expected a value for every key, got none for {gtsam.DefaultKeyFormatter(key)}; "
+                "add it to the values or leave its factors out"
+            )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -104,7 +104,8 @@ class Standing:
         slots : sequence of int
             The slot of each factor.
         """
-        self.n_slots, self.n_factors = max([self.n_slots, *(slot + 1 for slot in slots)]), self.n_factors + len(slots)
+        self.n_slots = max(self.n_slots, max(slots, default=-1) + 1)
+        self.n_factors += len(slots)
         if self.factors is not None:
             self.factors |= dict(zip(slots, factors_of(factors), strict=True))
 
