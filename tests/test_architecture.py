@@ -1,6 +1,9 @@
 """The house of the design: imports point one way, and the core knows neither GTSAM nor Open3D."""
 
 import ast
+import importlib
+import subprocess
+import sys
 import tomllib
 from pathlib import Path
 
@@ -29,7 +32,7 @@ FLOORS = [
     "integrity",
     "places",
     "new_ties",
-    "replay",
+    "replaying",
     "estimate",
     "gate",
     "diagnosis",
@@ -39,7 +42,7 @@ FLOORS = [
     "merging",
     "fleet",
     "dense_map",
-    "mend",
+    "mending",
     "report",
     "stream",
     "cli",
@@ -56,7 +59,7 @@ MAY_IMPORT_GTSAM = {
     "diffusion",
     "datasets",
     "merging",
-    "mend",
+    "mending",
     "stream",
 }
 
@@ -112,7 +115,7 @@ def test_foreign_packages_stay_in_their_rooms(path):
     own, tops = room_of(path), {name.split(".")[0] for name in imported(path)}
     assert "gtsam" not in tops or own in MAY_IMPORT_GTSAM
     assert "open3d" not in tops or path in {PACKAGE / "dense_map.py", PACKAGE / "report" / "scene.py"}
-    assert "small_gicp" not in tops or path == PACKAGE / "mend" / "alignment.py"
+    assert "small_gicp" not in tops or path == PACKAGE / "mending" / "alignment.py"
     assert "scenarios" not in tops
     assert not tops & {"rich", "typer"} or own == "cli" or path in TERMINAL_TEXT
 
@@ -124,10 +127,43 @@ def test_modules_stay_short_and_say_what_they_are(path):
     assert ast.get_docstring(ast.parse(text)) or not text.strip()
 
 
+def loaded_by(program):
+    """Packages and modules of ours, by the first two parts of their names, that a program has loaded at its end."""
+    told = f"{program}\nimport sys\nprint(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", told], cwd=ROOT, capture_output=True, text=True, check=True)
+    return {".".join(name.split(".")[: 2 if name.startswith("pgti_gtsam") else 1]) for name in done.stdout.split()}
+
+
+def test_the_package_alone_loads_neither_gtsam_nor_scipy():
+    loaded = loaded_by("import pgti_gtsam; dir(pgti_gtsam)")
+    assert {name for name in loaded if name.startswith("pgti_gtsam")} == {
+        "pgti_gtsam",
+        "pgti_gtsam.errors",
+        "pgti_gtsam.version",
+    }
+    assert not loaded & {"gtsam", "numpy", "scipy"}
+
+
+def test_a_public_name_loads_what_it_needs():
+    loaded = loaded_by("import pgti_gtsam; pgti_gtsam.GatedISAM2, pgti_gtsam.diagnose, pgti_gtsam.merge")
+    assert {"pgti_gtsam.gate", "pgti_gtsam.diagnosis", "pgti_gtsam.merging", "scipy"} <= loaded
+    assert not loaded & {"pgti_gtsam.datasets", "pgti_gtsam.report", "pgti_gtsam.mending", "sqlite3", "msgpack"}
+    assert not loaded & {"plotly", "rich", "typer", "open3d", "dask"}
+
+
 def test_every_name_that_is_promised_exists():
     import pgti_gtsam
 
-    assert all(hasattr(pgti_gtsam, name) for name in pgti_gtsam.__all__)
+    tree = ast.parse((PACKAGE / "__init__.py").read_text(encoding="utf-8"))
+    for_checkers = next(node for node in tree.body if isinstance(node, ast.If)).body
+    seen = {alias.name: node.module for node in for_checkers for alias in node.names}
+    assert seen == pgti_gtsam._MODULE_OF
+    assert set(pgti_gtsam.__all__) == {*seen, "PgtiError", "__version__"} <= set(dir(pgti_gtsam))
+    assert not set(seen) & {room_of(path) for path in modules()}  # an imported module would hide the name
+    for name, module in seen.items():
+        assert getattr(pgti_gtsam, name) is getattr(importlib.import_module(module), name)
+    with pytest.raises(AttributeError, match="'pgti_gtsam' has no attribute 'diagnoze'"):
+        _ = pgti_gtsam.diagnoze
 
 
 def test_the_top_level_is_as_designed():

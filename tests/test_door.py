@@ -7,7 +7,7 @@ import pytest
 import pgti_gtsam as pgti
 from pgti_gtsam import diffusion
 from pgti_gtsam.errors import PgtiError
-from pgti_gtsam.replay import Measure, replay
+from pgti_gtsam.replaying import Measure, replay
 
 NOISE = gtsam.noiseModel.Unit.Create(3)
 POSES = [gtsam.Pose2(10 * np.cos(a), 10 * np.sin(a), a + np.pi / 2) for a in np.arange(16) * np.pi / 4]

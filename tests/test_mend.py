@@ -13,12 +13,12 @@ from optional import needs_open3d
 import pgti_gtsam as pgti
 from pgti_gtsam import datasets
 from pgti_gtsam.errors import FileFormatError
-from pgti_gtsam.mend import alignment as aligning
-from pgti_gtsam.mend.common_view import View, common_view
-from pgti_gtsam.mend.records import Wanted
-from pgti_gtsam.mend.starts import starts
-from pgti_gtsam.mend.submap import Submap
-from pgti_gtsam.mend.verdicts import free_allowance_m, sensors_say, tie
+from pgti_gtsam.mending import alignment as aligning
+from pgti_gtsam.mending.common_view import View, common_view
+from pgti_gtsam.mending.records import Wanted
+from pgti_gtsam.mending.starts import starts
+from pgti_gtsam.mending.submap import Submap
+from pgti_gtsam.mending.verdicts import free_allowance_m, sensors_say, tie
 from pgti_gtsam.report.mended import mended_document, write_mended_page
 
 pytest.importorskip("small_gicp", reason='pip install "pgti-gtsam[match]"')

@@ -13,11 +13,11 @@ from streets import block, driven, straight
 from test_isam2 import started, step
 
 import pgti_gtsam as pgti
-from pgti_gtsam import datasets
+from pgti_gtsam import datasets, replaying
 from pgti_gtsam.errors import FileFormatError, MissingDependencyError, PgtiError
 from pgti_gtsam.pose_graph import EdgeSource
-from pgti_gtsam.replay import METRICS, Measure, lag, moment, replay_graph
-from pgti_gtsam.replay.growth import grown
+from pgti_gtsam.replaying import METRICS, Measure, lag, moment, replay_graph
+from pgti_gtsam.replaying.growth import grown
 from pgti_gtsam.report import curves
 from pgti_gtsam.support_graph import support_graph
 
@@ -151,7 +151,7 @@ def test_a_run_that_was_stopped_goes_on_and_measures_nothing_twice(tmp_path, mon
         sizes.append(stage.n_keyframes)
         return moment.measured(stage, how)
 
-    monkeypatch.setattr(sys.modules["pgti_gtsam.replay"], "measured", counted)  # the package's name is the function's
+    monkeypatch.setattr(replaying, "measured", counted)
     again = pgti.replay(graph, values, radii=0.5, every=9, path=path)
     assert sizes == [72, 81, 90]
     assert path.read_text() == "".join(lines)

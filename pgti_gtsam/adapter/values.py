@@ -191,3 +191,19 @@ def _check_finite(keys: NDArray[np.uint64], positions: NDArray[np.float64], is_f
             f"expected a finite pose, got position {positions[i].tolist()}{turned} "
             f"at keyframe {gtsam.DefaultKeyFormatter(int(keys[i]))}"
         )
+
+
+def insert_point(values: gtsam.Values, key: int, point: NDArray[np.float64]) -> None:
+    """Add a point (2,) or (3,), in space as a Point3 proper.
+
+    ``Values.insert`` takes any array for a vector of dynamic size, and ``Values.update`` confuses such a vector with
+    a point. Python has no way to add a Point2 proper; GTSAM's factors read the vector all the same.
+
+    Parameters
+    ----------
+    values : gtsam.Values
+    key : int
+    point : (2,) or (3,) float
+    """
+    insert = values.insertPoint3 if len(point) == 3 else values.insert
+    insert(key, np.asarray(point, dtype=float))

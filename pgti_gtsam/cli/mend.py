@@ -26,9 +26,9 @@ from pgti_gtsam.cli.options import (
 from pgti_gtsam.cli.progress import counted
 from pgti_gtsam.datasets.writer import write_graph
 from pgti_gtsam.errors import InvalidOptionError
-from pgti_gtsam.mend import clouds_in, scans_of
-from pgti_gtsam.mend.exchange import open_ties, ties_in
-from pgti_gtsam.mend.mending import mend as mended_map
+from pgti_gtsam.mending import clouds_in, scans_of
+from pgti_gtsam.mending.exchange import open_ties, ties_in
+from pgti_gtsam.mending.mending import mend as mended_map
 from pgti_gtsam.plain_text import visible
 from pgti_gtsam.report.document import write_json
 from pgti_gtsam.report.mended import mended_document, write_mended_page

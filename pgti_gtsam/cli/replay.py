@@ -30,8 +30,8 @@ from pgti_gtsam.cli.options import (
     terminal,
 )
 from pgti_gtsam.cli.progress import counted
-from pgti_gtsam.replay import METRICS, Measure
-from pgti_gtsam.replay import replay as grow
+from pgti_gtsam.replaying import METRICS, Measure
+from pgti_gtsam.replaying import replay as grow
 from pgti_gtsam.report.curves import require_png, write_replay_png
 from pgti_gtsam.report.replay import replay_document, write_replay_page
 

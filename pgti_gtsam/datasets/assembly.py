@@ -12,7 +12,8 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from pgti_gtsam.datasets.chain import Between, Pose, between_factors, insert_point, place_by_factors
+from pgti_gtsam.adapter.values import insert_point
+from pgti_gtsam.datasets.chain import Between, Pose, between_factors, place_by_factors
 from pgti_gtsam.datasets.dataset import Dataset
 from pgti_gtsam.datasets.landmarks import Sighting
 from pgti_gtsam.datasets.text import Table, TextFile, quote

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pgti_gtsam.adapter import from_gtsam
+from pgti_gtsam.adapter.values import insert_point
 from pgti_gtsam.datasets.dataset import Dataset
 from pgti_gtsam.factor_graphs import BETWEEN
 from pgti_gtsam.track import Tie, closure_edges, roles, track_of
@@ -47,22 +48,6 @@ def poses_of(values: gtsam.Values) -> dict[int, Pose]:
     poses: dict[int, Pose] = {key: planar.atPose2(key) for key in planar.keys()}  # noqa: SIM118  no mapping
     poses |= {key: spatial.atPose3(key) for key in spatial.keys()}  # noqa: SIM118
     return dict(sorted(poses.items()))
-
-
-def insert_point(values: gtsam.Values, key: int, point: NDArray[np.float64]) -> None:
-    """Add a point (2,) or (3,), in space as a Point3 proper.
-
-    ``Values.insert`` takes any array for a vector of dynamic size, and ``Values.update`` confuses such a vector with
-    a point. Python has no way to add a Point2 proper; GTSAM's factors read the vector all the same.
-
-    Parameters
-    ----------
-    values : gtsam.Values
-    key : int
-    point : (2,) or (3,) float
-    """
-    insert = values.insertPoint3 if len(point) == 3 else values.insert
-    insert(key, np.asarray(point, dtype=float))
 
 
 class Tracked(NamedTuple):

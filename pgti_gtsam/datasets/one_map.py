@@ -9,7 +9,8 @@ from typing import Any
 
 import gtsam
 
-from pgti_gtsam.datasets.chain import insert_point, point_of, poses_of
+from pgti_gtsam.adapter.values import insert_point
+from pgti_gtsam.datasets.chain import point_of, poses_of
 from pgti_gtsam.datasets.dataset import Dataset
 from pgti_gtsam.datasets.reader import read, read_source
 from pgti_gtsam.datasets.source import Source

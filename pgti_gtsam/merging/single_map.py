@@ -11,8 +11,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse import csgraph
 
-from pgti_gtsam.adapter.values import read_keyframes, typed_value
-from pgti_gtsam.datasets.chain import insert_point
+from pgti_gtsam.adapter.values import insert_point, read_keyframes, typed_value
 from pgti_gtsam.errors import InvalidGraphError
 from pgti_gtsam.factor_graphs import graph_of, joined, keys_of, slots_of
 from pgti_gtsam.pose_graph import key_label

@@ -17,8 +17,8 @@ from pgti_gtsam import encode, outputs
 from pgti_gtsam.adapter.values import read_keyframes
 from pgti_gtsam.diagnosis import Diagnosis
 from pgti_gtsam.factor_graphs import keys_of, slots_of
-from pgti_gtsam.mend import Attempt, Mended
-from pgti_gtsam.mend.exchange import degrees, g2o_lines, planar
+from pgti_gtsam.mending import Attempt, Mended
+from pgti_gtsam.mending.exchange import degrees, g2o_lines, planar
 from pgti_gtsam.pose_graph import EdgeSource, key_label
 from pgti_gtsam.report import web
 from pgti_gtsam.report.digits import in_stable_digits

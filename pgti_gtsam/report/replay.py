@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pgti_gtsam import encode, outputs
-from pgti_gtsam.replay import METRICS, Replay
+from pgti_gtsam.replaying import METRICS, Replay
 from pgti_gtsam.report import web
 from pgti_gtsam.report.digits import in_stable_digits
 from pgti_gtsam.report.document import Document

@@ -24,7 +24,8 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from pgti_gtsam.datasets.chain import Pose, insert_point
+from pgti_gtsam.adapter.values import insert_point
+from pgti_gtsam.datasets.chain import Pose
 from pgti_gtsam.datasets.text import quote
 from pgti_gtsam.errors import FileFormatError, InvalidGraphError, InvalidOptionError, InvalidValueError, PgtiError
 from pgti_gtsam.factor_graphs import graph_of, measured_from

@@ -20,9 +20,9 @@ from scipy.spatial import KDTree
 import pgti_gtsam as pgti
 from pgti_gtsam import datasets
 from pgti_gtsam.datasets import Dataset
-from pgti_gtsam.mend import Attempt
-from pgti_gtsam.mend.alignment import Cloud, align
-from pgti_gtsam.mend.submap import Submap
+from pgti_gtsam.mending import Attempt
+from pgti_gtsam.mending.alignment import Cloud, align
+from pgti_gtsam.mending.submap import Submap
 
 REACH_M, LATER, EVERY = 5.0, 40, 3
 """Distance within which pairs are tried, keyframes between them, and of how many later ones each is tried."""

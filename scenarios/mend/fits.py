@@ -19,10 +19,10 @@ from scipy.special import chdtri
 
 import pgti_gtsam as pgti
 from pgti_gtsam import datasets
-from pgti_gtsam.mend import Clouds, Wanted
-from pgti_gtsam.mend.alignment import FIT, Alignment, Cloud, align, is_thin, lengths
-from pgti_gtsam.mend.submap import Submaps
-from pgti_gtsam.mend.verdicts import sensors_say
+from pgti_gtsam.mending import Clouds, Wanted
+from pgti_gtsam.mending.alignment import FIT, Alignment, Cloud, align, is_thin, lengths
+from pgti_gtsam.mending.submap import Submaps
+from pgti_gtsam.mending.verdicts import sensors_say
 from pgti_gtsam.track import track_of
 from scenarios import worlds as driving
 from scenarios.mend.aces import odometry_of, optimum_of

@@ -19,7 +19,7 @@ import pgti_gtsam as pgti
 from pgti_gtsam import datasets
 from pgti_gtsam.datasets import Dataset
 from pgti_gtsam.estimate import optimised
-from pgti_gtsam.mend import Attempt
+from pgti_gtsam.mending import Attempt
 from scenarios.measures import trajectory_errors
 
 LOGS = ("fr079", "mit-cscail")

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 import pgti_gtsam as pgti
 from pgti_gtsam import datasets, replay
-from pgti_gtsam.replay import METRICS, Replay, lag, replay_graph
-from pgti_gtsam.replay.growth import Stage, grown
+from pgti_gtsam.replaying import METRICS, Replay, lag, replay_graph
+from pgti_gtsam.replaying.growth import Stage, grown
 from pgti_gtsam.report.curves import write_replay_png
 from pgti_gtsam.report.replay import replay_document
 from pgti_gtsam.spectral.laplacian import connected_components, laplacian

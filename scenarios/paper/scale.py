@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 import pgti_gtsam as pgti
-from pgti_gtsam.replay import METRICS, Replay, replay_graph
+from pgti_gtsam.replaying import METRICS, Replay, replay_graph
 from scenarios.paper.curves import LIKE_KITTI_05
 from scenarios.paper.ways import covisible, pose_graph, way
 

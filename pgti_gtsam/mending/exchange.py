@@ -15,7 +15,7 @@ from pgti_gtsam.adapter.values import read_keyframes
 from pgti_gtsam.datasets import write_g2o
 from pgti_gtsam.errors import InvalidOptionError
 from pgti_gtsam.factor_graphs import BETWEEN, between_factor, factors_of, keys_of
-from pgti_gtsam.mend.records import Attempt, Mended
+from pgti_gtsam.mending.records import Attempt, Mended
 
 
 def open_ties(mended: Mended) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:

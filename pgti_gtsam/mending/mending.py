@@ -25,12 +25,12 @@ from pgti_gtsam.gate.batch import optimum
 from pgti_gtsam.gate.decision import metres
 from pgti_gtsam.gate.reference_map import ReferenceMap
 from pgti_gtsam.gate.ties import OFFSET
-from pgti_gtsam.mend.alignment import Cloud, align, is_thin
-from pgti_gtsam.mend.clouds import Clouds, scans_of
-from pgti_gtsam.mend.records import Attempt, Mended, Wanted
-from pgti_gtsam.mend.submap import Submaps
-from pgti_gtsam.mend.verdicts import sensors_say, sigma_unit, tie
-from pgti_gtsam.mend.wanted import asked_for, wanted_ties
+from pgti_gtsam.mending.alignment import Cloud, align, is_thin
+from pgti_gtsam.mending.clouds import Clouds, scans_of
+from pgti_gtsam.mending.records import Attempt, Mended, Wanted
+from pgti_gtsam.mending.submap import Submaps
+from pgti_gtsam.mending.verdicts import sensors_say, sigma_unit, tie
+from pgti_gtsam.mending.wanted import asked_for, wanted_ties
 from pgti_gtsam.pose_graph import Radii, key_label
 from pgti_gtsam.track import track_of
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from pgti_gtsam.mend.clouds import Points
+from pgti_gtsam.mending.clouds import Points
 
 BEAMS = 3.0
 """Angle, in those between neighbouring beams of a view, within which a beam sees what a point would hide."""

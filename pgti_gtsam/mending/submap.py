@@ -9,7 +9,7 @@ from typing import Any
 import gtsam
 import numpy as np
 
-from pgti_gtsam.mend.clouds import Clouds, Points
+from pgti_gtsam.mending.clouds import Clouds, Points
 from pgti_gtsam.track import Track
 
 REACH = 2.0

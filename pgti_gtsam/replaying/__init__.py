@@ -15,11 +15,11 @@ from pgti_gtsam.adapter import from_gtsam
 from pgti_gtsam.checks import shown, whole
 from pgti_gtsam.errors import InvalidGraphError, InvalidOptionError, PgtiError
 from pgti_gtsam.pose_graph import PoseGraph, Radii
-from pgti_gtsam.replay.growth import Stage, grown, recorded, sizes
-from pgti_gtsam.replay.lag import Lag, lag
-from pgti_gtsam.replay.lines import appended, heading, known_moments
-from pgti_gtsam.replay.moment import METRICS, Measure, Moment, measured
-from pgti_gtsam.replay.record import Map, Record, checked_moments, radii_then
+from pgti_gtsam.replaying.growth import Stage, grown, recorded, sizes
+from pgti_gtsam.replaying.lag import Lag, lag
+from pgti_gtsam.replaying.lines import appended, heading, known_moments
+from pgti_gtsam.replaying.moment import METRICS, Measure, Moment, measured
+from pgti_gtsam.replaying.record import Map, Record, checked_moments, radii_then
 
 __all__ = ["METRICS", "Lag", "Measure", "Moment", "Record", "Replay", "lag", "replay", "replay_graph"]
 

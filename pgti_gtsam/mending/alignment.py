@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from pgti_gtsam.errors import MissingDependencyError
-from pgti_gtsam.mend.common_view import CommonView, View, common_view, drawn
-from pgti_gtsam.mend.starts import EXTENT, starts
-from pgti_gtsam.mend.submap import Submap, moved
+from pgti_gtsam.mending.common_view import CommonView, View, common_view, drawn
+from pgti_gtsam.mending.starts import EXTENT, starts
+from pgti_gtsam.mending.submap import Submap, moved
 
 RESOLUTION = 1 / 10
 """Edge of the voxels that points are thinned out to, ρ."""

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pgti_gtsam.integrity import checked_measure, relative_distortion, stable_scores, time_grid
 from pgti_gtsam.optimality import GraphOptimality, optimality
-from pgti_gtsam.replay.growth import Stage
+from pgti_gtsam.replaying.growth import Stage
 from pgti_gtsam.spectral.heat_kernel import TOLERANCE, Method, heat_kernels
 
 METRICS = {

@@ -18,9 +18,9 @@ from pgti_gtsam.factor_graphs import BETWEEN, between_factor
 from pgti_gtsam.gate.decision import metres
 from pgti_gtsam.gate.reference_map import ReferenceMap
 from pgti_gtsam.gate.ties import OFFSET, OFFSET_RAD, translation_of, variances_of
-from pgti_gtsam.mend.alignment import FIT, Alignment, lengths
-from pgti_gtsam.mend.common_view import AGREES
-from pgti_gtsam.mend.records import Outcome, Wanted
+from pgti_gtsam.mending.alignment import FIT, Alignment, lengths
+from pgti_gtsam.mending.common_view import AGREES
+from pgti_gtsam.mending.records import Outcome, Wanted
 
 CONTRADICTS = 0.8
 """Agreement below which they refuse the fit: one point in five lies where the other keyframe saw free space."""

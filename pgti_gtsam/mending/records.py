@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from pgti_gtsam.diagnosis.records import Diagnosis, Kind
 from pgti_gtsam.gate.decision import ClosureDecision
-from pgti_gtsam.mend.alignment import Alignment
-from pgti_gtsam.mend.submap import Submap
+from pgti_gtsam.mending.alignment import Alignment
+from pgti_gtsam.mending.submap import Submap
 
 Outcome = Literal["confirmed", "refused", "undecided"]
 

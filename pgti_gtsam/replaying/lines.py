@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from pgti_gtsam import encode
 from pgti_gtsam.errors import FileFormatError
 from pgti_gtsam.pose_graph import PoseGraph
-from pgti_gtsam.replay.moment import Measure, Moment
+from pgti_gtsam.replaying.moment import Measure, Moment
 
 _ARRAYS = ("keyframe_scores", "positions")
 
