@@ -44,6 +44,8 @@ class BetaSplit:
         Λ_loc and Λ_glob: ζ over each part at the keyframe where the ζ of the whole grid is largest.
     max_local, max_global : float
         Largest ζ over each part at any keyframe.
+    keyframe_locals, keyframe_globals : (n,) float
+        ζ of every keyframe over each part.
     """
 
     beta: float
@@ -51,6 +53,8 @@ class BetaSplit:
     global_: float
     max_local: float
     max_global: float
+    keyframe_locals: NDArray[np.float64]
+    keyframe_globals: NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -150,6 +154,8 @@ class Distortion:
             global_=float(far[self.worst]),
             max_local=float(local.max()),
             max_global=float(far.max()),
+            keyframe_locals=local,
+            keyframe_globals=far,
         )
 
 

@@ -23,7 +23,6 @@ from pgti_gtsam.gate.candidate_map import CandidateMaps
 from pgti_gtsam.gate.reference_map import ReferenceMap
 from pgti_gtsam.gate.settled import settle
 from pgti_gtsam.gate.terms.contact_rise import local_rise
-from pgti_gtsam.integrity import Integrity, relative_distortion
 from scenarios.arrivals import KITTI, MOST, REAL, Arrivals, Trial, arrivals
 from scenarios.measures import area_under_curve
 from scenarios.worlds.layouts import LAYOUTS
@@ -138,18 +137,11 @@ def spikes(reference: ReferenceMap, closure: gtsam.NonlinearFactorGraph) -> dict
         "global_score": after.split().global_ - before.split().global_,
         "mean_score": after.mean_score - before.mean_score,
         "keyframe": np.max(after.keyframe_scores - before.keyframe_scores),
-        "keyframe_global": np.max(_global_scores(after) - _global_scores(before)),
+        "keyframe_global": np.max(after.split().keyframe_globals - before.split().keyframe_globals),
         "stable": np.max(after.stable_scores - before.stable_scores),
         "contact": contact.rise,
     }
     return {name: float(f"{rise:.5g}") for name, rise in found.items()}
-
-
-def _global_scores(integrity: Integrity) -> NDArray[np.float64]:
-    """ζ_glob of every keyframe; Λ_glob is ζ_glob of the worst keyframe alone."""
-    late = slice(round(integrity.beta * len(integrity.times)), None)
-    before, after = integrity.signatures_pose_graph[:, late], integrity.signatures_merged_graph[:, late]
-    return relative_distortion(before, after, integrity.norm)
 
 
 def _sample(ends: Sequence[tuple[int, int]], true: NDArray[np.bool_], random: np.random.Generator) -> set[int]:

@@ -141,7 +141,7 @@ def test_scores_are_those_of_the_decision(run, streets, tmp_path):
         assert record[name]["after"] == pytest.approx(change.after, rel=1e-5)
 
 
-@pytest.mark.parametrize("rule", ["global_rise", "keyframe_rise"])
+@pytest.mark.parametrize("rule", ["global_rise", "keyframe_rise", "keyframe_global_rise"])
 def test_the_papers_rule_on_its_own_can_be_chosen(run, streets, tmp_path, rule):
     assert run("gate", streets, "--radius", RADIUS, "--rule", rule, "--decisions", tmp_path / "found")[0] == 0
     records = [json.loads(line) for line in (tmp_path / "found").read_text().splitlines()]

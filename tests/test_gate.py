@@ -181,7 +181,9 @@ def test_scores_before_and_after_are_those_of_both_maps(lap):
     assert judged(lap, closure, gate=LoopClosureGate(options=GateOptions(scores=False))).score is None
 
 
-@pytest.mark.parametrize(("rule", "name"), [("global_rise", "Λ_glob"), ("keyframe_rise", "ζ")])
+@pytest.mark.parametrize(
+    ("rule", "name"), [("global_rise", "Λ_glob"), ("keyframe_rise", "ζ"), ("keyframe_global_rise", "ζ_glob")]
+)
 def test_the_papers_rule_alone_follows_its_score(rule, name):
     healthy = driven([*straight(100), *turn(1.0)] * 3)
     closure = healthy.closure(4, 120, NOWHERE)
@@ -194,6 +196,19 @@ def test_the_papers_rule_alone_follows_its_score(rule, name):
     assert judged(healthy, closure, gate=strict).verdict == "rejected"
     assert name in judged(healthy, closure, gate=strict).reasons[0]
     assert judged(healthy, closure, gate=lenient).accepted
+
+
+@pytest.mark.parametrize(
+    ("rule", "accepted"), [("global_rise", True), ("keyframe_rise", False), ("keyframe_global_rise", False)]
+)
+def test_an_old_defect_masks_the_jump_of_the_largest_score_and_of_no_keyframes_own(rule, accepted):
+    """A keyframe without any tie, in the free space of others, has an infinite score before and after."""
+    world = driven([*straight(100), *turn(1.0)] * 3)
+    near, untied = world.values.atPose2(30), len(world.truth)
+    world.values.insert(untied, near)
+    world.graph.push_back(gtsam.PriorFactorPose2(untied, near, gtsam.noiseModel.Unit.Create(3)))
+    asked = LoopClosureGate(options=GateOptions(rule=rule))
+    assert judged(world, world.closure(4, 120, NOWHERE), gate=asked).accepted is accepted
 
 
 def test_a_decision_is_plain_and_small(lap):

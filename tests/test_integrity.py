@@ -201,3 +201,4 @@ def test_every_split_leaves_time_on_both_sides(beta):
     assert split.beta == beta
     assert split.max_local >= split.local > 0
     assert split.max_global >= split.global_ > 0
+    assert (split.keyframe_locals.max(), split.keyframe_globals.max()) == (split.max_local, split.max_global)

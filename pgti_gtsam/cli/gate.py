@@ -77,7 +77,9 @@ def gate(
     edges: Edges = None,
     min_shared_landmarks: MinShared = None,
     every: Every = 1,
-    rule: Annotated[str, typer.Option(help="log_odds, or of the paper global_rise or keyframe_rise.")] = "log_odds",
+    rule: Annotated[
+        str, typer.Option(help="log_odds, or of the paper global_rise, keyframe_rise or keyframe_global_rise.")
+    ] = "log_odds",
     min_probability: Annotated[float, typer.Option(help="Accept closures from this probability on.")] = 0.95,
     scores: Annotated[
         bool | None,

@@ -57,8 +57,8 @@ class ClosureDecision:
     log_odds : float
         Of true against false, all evidence together; NaN where nothing judges the closure.
     terms : mapping of name to Term
-        "drift", "contact_rise" where the drift left the closure in doubt, "global_rise" and "keyframe_rise" where the
-        rule asks for scores.
+        "drift", "contact_rise" where the drift left the closure in doubt, or the rule's name where
+        the paper's rule is asked ("global_rise", …).
     reasons : tuple of str
         The terms' sentences, the heaviest first.
     keys : tuple of int

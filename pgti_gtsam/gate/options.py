@@ -11,7 +11,7 @@ from pgti_gtsam.errors import InvalidOptionError
 SCORED = 2000
 """Keyframes, times revisits, up to which Λ and Λ_glob are computed unasked: a tenth of a second."""
 
-RULES = ("log_odds", "global_rise", "keyframe_rise")
+RULES = ("log_odds", "global_rise", "keyframe_rise", "keyframe_global_rise")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -20,9 +20,10 @@ class GateOptions:
 
     Attributes
     ----------
-    rule : {"log_odds", "global_rise", "keyframe_rise"}
+    rule : {"log_odds", "global_rise", "keyframe_rise", "keyframe_global_rise"}
         The default adds up the evidence of drift and free space. The others are the paper's rule (section 6.3.1)
-        alone: reject a closure when Λ_glob rises by more than `max_rise`, or when any keyframe's ζ does.
+        alone: reject a closure when Λ_glob rises by more than `max_rise`, when any keyframe's ζ does, or when any
+        keyframe's ζ_glob does.
     min_probability : float
         A closure is accepted from this probability on, rejected from the complement down, and undecided between.
     max_rise : float

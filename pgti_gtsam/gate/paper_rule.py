@@ -1,8 +1,8 @@
 """The paper's gate (section 6.3.1) alone: a closure is spurious when the integrity score jumps.
 
-Every revisit is tied when its last match has come, and kept if the score does not jump. The paper names Λ_glob. Its
-maximum over the map and over the map's own times hides a jump behind an old defect; with the rule "keyframe_rise"
-each keyframe's ζ is compared with itself.
+Every revisit is tied when its last match has come, and kept if the score does not jump. The paper names Λ_glob, which
+is read at the worst keyframe of the map, so that an old defect hides a jump elsewhere. With the rules "keyframe_rise"
+and "keyframe_global_rise" each keyframe's ζ, or the global part of its ζ, is compared with itself.
 """
 
 from __future__ import annotations
@@ -10,12 +10,20 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pgti_gtsam.gate.admission import Weight
-from pgti_gtsam.gate.decision import Change, Term
+from pgti_gtsam.gate.decision import Term
 from pgti_gtsam.gate.options import GateOptions
 from pgti_gtsam.gate.settled import Settled, settle
 from pgti_gtsam.integrity import Integrity
+
+SCORES = {
+    "global_rise": "Λ_glob",
+    "keyframe_rise": "ζ of the keyframe where ζ rises most",
+    "keyframe_global_rise": "ζ_glob of the keyframe where ζ_glob rises most",
+}
+"""What each rule compares, in the words of a sentence."""
 
 
 def admitted(
@@ -47,13 +55,21 @@ def admitted(
 
 def _term(before: Integrity, after: Integrity, options: GateOptions) -> Term:
     """The jump in words; the rule knows no odds, so that the odds are certain either way."""
-    if options.rule == "global_rise":
-        change = Change(before=before.split(options.beta).global_, after=after.split(options.beta).global_)
-        what = "Λ_glob"
-    else:
-        worst = int(np.argmax(after.keyframe_scores - before.keyframe_scores))
-        change = Change(before=float(before.keyframe_scores[worst]), after=float(after.keyframe_scores[worst]))
-        what = "ζ of the keyframe where ζ rises most"
-    passes = change.rise <= options.max_rise
-    sentence = f"{what} goes from {change.before:.2f} to {change.after:.2f} (limit +{options.max_rise:g})."
-    return Term(value=change.rise, log_odds=np.inf if passes else -np.inf, sentence=sentence)
+    first, second = (_scores(each, options) for each in (before, after))
+    rises = np.subtract(second, first, out=np.zeros(len(first)), where=first != second)  # infinity stays infinity
+    worst = int(np.argmax(rises))
+    rise = float(rises[worst])
+    change = f"from {first[worst]:.2f} to {second[worst]:.2f} (limit +{options.max_rise:g})"
+    return Term(
+        value=rise,
+        log_odds=np.inf if rise <= options.max_rise else -np.inf,
+        sentence=f"{SCORES[options.rule]} goes {change}.",
+    )
+
+
+def _scores(integrity: Integrity, options: GateOptions) -> NDArray[np.float64]:
+    """What the rule compares: a score of the map, (1,), or of every keyframe, (n,)."""
+    if options.rule == "keyframe_rise":
+        return integrity.keyframe_scores
+    split = integrity.split(options.beta)
+    return np.array([split.global_]) if options.rule == "global_rise" else split.keyframe_globals

@@ -4,6 +4,7 @@ const mostRows = 1000; // of the table
 
 const termNames = {
   drift: "drift", contact_rise: "free space", global_rise: "rise of Λ_glob", keyframe_rise: "rise of a keyframe’s ζ",
+  keyframe_global_rise: "rise of a keyframe’s ζ_glob",
 };
 
 function fillTally() {
