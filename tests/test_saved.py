@@ -8,6 +8,7 @@ import pytest
 from streets import RADIUS, block, driven, straight
 
 from pgti_gtsam.errors import FileFormatError, InvalidGraphError
+from pgti_gtsam.gate.fixed_lag import GatedFixedLagSmoother
 from pgti_gtsam.gate.isam2 import GatedISAM2
 
 LAP = 4 * 12  # steps around a block of 20 m
@@ -24,13 +25,18 @@ def world():
 
 def drive(world, isam, first, last):
     """The verdicts, and the changed minds, of closures that come with some keyframes."""
+    is_lagged = isinstance(isam, GatedFixedLagSmoother)
     told = []
     for k in range(first, last):
         factors, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
         factors.push_back(gtsam.PriorFactorPose2(0, world.truth[0], ORIGIN) if k == 0 else world.graph.at(k - 1))
         values.insert(k, world.values.atPose2(k))
         i, pose = CLOSING.get(k, (None, None))
-        update = isam.update(factors, values, [] if i is None else [world.closure(i, k, pose)], radii={k: RADIUS})
+        closures, more = (
+            [] if i is None else [world.closure(i, k, pose)],
+            {"timestamps": {k: float(k)}} if is_lagged else {},
+        )
+        update = isam.update(factors, values, closures=closures, radii={k: RADIUS}, **more)
         told += [(k, decision.verdict, decision.log_odds) for decision in update.decisions]
         told += [(k, number, decision.verdict) for number, decision in update.changed.items()]
     return told
@@ -71,6 +77,28 @@ def test_closures_can_be_taken_out_after_a_break_and_slots_stay_empty(world):
     for slot in range(isam.getFactorsUnsafe().size()):
         assert (isam.getFactorsUnsafe().at(slot) is None) <= (resumed.getFactorsUnsafe().at(slot) is None)
     assert resumed.review_afresh().decisions.keys() == isam.review_afresh().decisions.keys()
+
+
+@pytest.mark.parametrize("kind", [gtsam.IncrementalFixedLagSmoother, gtsam.BatchFixedLagSmoother])
+@pytest.mark.parametrize("broken_at", [0, 5, LAP + 21])
+def test_a_fixed_lag_smoother_goes_on_with_its_window_and_all_that_left_it(world, tmp_path, kind, broken_at):
+    whole, isam, last = GatedFixedLagSmoother(kind(LAP + 5.0)), GatedFixedLagSmoother(kind(LAP + 5.0)), LAP + 30
+    expected, told = drive(world, whole, 0, last), drive(world, isam, 0, broken_at)
+    isam.save(tmp_path / "gate.json")
+    resumed = GatedFixedLagSmoother.load(tmp_path / "gate.json")
+    told += drive(world, resumed, broken_at, last)
+
+    assert [row[:2] for row in told] == [row[:2] for row in expected]
+    # iSAM2 counts the updates to the next relinearisation anew
+    assert np.allclose([row[2] for row in told], [row[2] for row in expected], rtol=1e-3)
+    assert (type(resumed.smoother), resumed.smootherLag()) == (kind, LAP + 5.0)
+    assert dict(resumed.timestamps()) == dict(whole.timestamps())
+    assert (resumed.absorbed, resumed.admitted) == (whole.absorbed, whole.admitted)
+    assert resumed.absorbed
+    one, other = resumed.estimate(), whole.estimate()
+    assert all(one.atPose2(k).equals(other.atPose2(k), 1e-2) for k in range(last))
+    with pytest.raises(InvalidGraphError, match="expected the state of ISAM2, got that of"):
+        GatedISAM2.load(tmp_path / "gate.json")
 
 
 def _nothing(_, __, jacobians):

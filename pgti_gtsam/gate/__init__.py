@@ -4,7 +4,7 @@
 the evidence of a closure's measurement. `reference_map` is the map before any candidate, `candidate_map` the map
 with some; `candidates` makes ties of closures, `admission` takes the surest first; `paper_rule` is the paper's gate on
 its own. `gate` decides, `batch` gates whole graphs; `isam2` and `fixed_lag` wrap smoothers, in what `gated` has for
-both, and keep a `grown_map`; `saved` writes that of iSAM2 down. `left_out` and `own_closures` judge a finished map's
+both, and keep a `grown_map`; `saved` writes all of it down. `left_out` and `own_closures` judge a finished map's
 closures against each other.
 """
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import gtsam
@@ -12,10 +13,12 @@ from pgti_gtsam.checks import in_a_line
 from pgti_gtsam.errors import InvalidClosureError, InvalidOptionError, MissingValueError, UnsolvableGraphError
 from pgti_gtsam.factor_graphs import Closure, factors_of, graph_of, joined, slots_of
 from pgti_gtsam.gate.decision import ClosureDecision
+from pgti_gtsam.gate.gate import LoopClosureGate
 from pgti_gtsam.gate.gated import GatedSmoother
 from pgti_gtsam.gate.history import GatedUpdate, Offer, Step
 from pgti_gtsam.gate.kept_map import News, WholeMap, check_news
 from pgti_gtsam.gate.remembered import Remembered
+from pgti_gtsam.gate.saved import State, decoded, encoded, read_state
 from pgti_gtsam.pose_graph import key_label
 
 KINDS = (gtsam.IncrementalFixedLagSmoother, gtsam.BatchFixedLagSmoother)
@@ -103,6 +106,49 @@ class GatedFixedLagSmoother(GatedSmoother):
         told = {n: self._told(n, decision) for n, decision in zip(update.closures, update.decisions, strict=True)}
         changed = {n: self._told(n, decision) for n, decision in update.changed.items()}
         return replace(update, decisions=tuple(told.values()), changed=changed, factor_slots=())
+
+    def state(self) -> State:
+        """The whole state but gate and parameters, as JSON-ready text and numbers; raises as `saved.encoded` does."""
+        return encoded(self._parts, self._remembered.state())
+
+    @classmethod
+    def resumed(
+        cls, state: State, parameters: Any | None = None, gate: LoopClosureGate | None = None
+    ) -> GatedFixedLagSmoother:
+        """A gated smoother that continues from `state`.
+
+        Parameters
+        ----------
+        state : dict
+        parameters : gtsam.ISAM2Params or gtsam.LevenbergMarquardtParams, optional
+            Of the smoother, as at the first start: parameters are not part of the state.
+        gate : LoopClosureGate, optional
+
+        Raises
+        ------
+        InvalidGraphError, PgtiError
+            As of `saved.decoded` and of `LoopClosureGate.reference_map`.
+        """
+        gate = LoopClosureGate() if gate is None else gate
+        parts = decoded(state, [kind.__name__ for kind in KINDS], gate)
+        remembered = Remembered.resumed(state["smoother"], parts.graph, parameters)
+        found = cls(remembered.smoother, gate, parts.radii)
+        found._remembered, found._offers, found._kept = remembered, parts.offers, parts.kept
+        return found
+
+    @classmethod
+    def load(
+        cls, path: Path | str, parameters: Any | None = None, gate: LoopClosureGate | None = None
+    ) -> GatedFixedLagSmoother:
+        """Read the file of `save`; see `resumed`.
+
+        Parameters
+        ----------
+        path : Path or str
+        parameters, gate
+            As for `resumed`.
+        """
+        return cls.resumed(read_state(Path(path)), parameters, gate)
 
     @property
     def absorbed(self) -> tuple[int, ...]:

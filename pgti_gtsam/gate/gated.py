@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import json
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import gtsam
 
+from pgti_gtsam import outputs
 from pgti_gtsam.adapter import check_radii
 from pgti_gtsam.adapter.values import read_keyframes
 from pgti_gtsam.checks import shown
@@ -20,6 +23,7 @@ from pgti_gtsam.gate.grown_map import GrownMap
 from pgti_gtsam.gate.history import GatedUpdate, Offer, Review, Step
 from pgti_gtsam.gate.kept_map import KeptMap, News, WholeMap, check_news
 from pgti_gtsam.gate.revisits import revisits
+from pgti_gtsam.gate.saved import Parts, State
 from pgti_gtsam.gate.ties import free_space_unit
 from pgti_gtsam.pose_graph import Radii
 from pgti_gtsam.track import track_of
@@ -67,6 +71,24 @@ class GatedSmoother(ABC):
         removed: Sequence[int] = (),
     ) -> Step:
         """A step of the smoother with some graphs; slots of the map to be emptied."""
+
+    @abstractmethod
+    def state(self) -> State:
+        """The whole state but gate and parameters, as JSON-ready text and numbers."""
+
+    def save(self, path: Path | str) -> None:
+        """Write `state` to a file; a power failure leaves the old file or the new file.
+
+        Raises
+        ------
+        InvalidGraphError
+            A factor that GTSAM has no archive of, a `gtsam.CustomFactor` say.
+        """
+        outputs.write_text(path, json.dumps(self.state()))
+
+    @property
+    def _parts(self) -> Parts:
+        return Parts(graph=self._map.getFactorsUnsafe(), radii=self.radii, offers=self._offers, kept=self._kept)
 
     def _check_news(self, news: News, options: Mapping[str, Any]) -> None:
         """Refuse input on which the smoother would fail."""

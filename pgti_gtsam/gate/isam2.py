@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import islice
@@ -11,15 +10,16 @@ from typing import Any
 
 import gtsam
 
-from pgti_gtsam import outputs
 from pgti_gtsam.checks import in_a_line
 from pgti_gtsam.errors import InvalidOptionError, UnsolvableGraphError
 from pgti_gtsam.factor_graphs import Closure, joined
 from pgti_gtsam.gate.gate import LoopClosureGate
 from pgti_gtsam.gate.gated import GatedSmoother
-from pgti_gtsam.gate.history import GatedUpdate, Step, made_anew
+from pgti_gtsam.gate.history import GatedUpdate, Step, made_anew, smoother_of
 from pgti_gtsam.gate.kept_map import WholeMap
-from pgti_gtsam.gate.saved import Parts, State, decoded, encoded, read_state
+from pgti_gtsam.gate.saved import State, decoded, encoded, read_state, values_from
+
+KIND = "ISAM2"
 
 
 @dataclass(slots=True)
@@ -61,7 +61,7 @@ class GatedISAM2(GatedSmoother):
 
     def state(self) -> State:
         """The whole state but gate and parameters, as JSON-ready text and numbers; raises as `saved.encoded` does."""
-        return encoded(Parts(smoother=self.smoother, radii=self.radii, offers=self._offers, kept=self._kept))
+        return encoded(self._parts, {"kind": KIND, "values": self.smoother.getLinearizationPoint().serialize()})
 
     @classmethod
     def resumed(
@@ -81,14 +81,12 @@ class GatedISAM2(GatedSmoother):
             As of `saved.decoded` and of `LoopClosureGate.reference_map`.
         """
         gate = LoopClosureGate() if gate is None else gate
-        parts = decoded(state, gtsam.ISAM2Params() if parameters is None else parameters, gate)
-        found = cls(parts.smoother, gate, parts.radii)
+        parameters = gtsam.ISAM2Params() if parameters is None else parameters
+        parts = decoded(state, [KIND], gate, reuses_slots=parameters.findUnusedFactorSlots)
+        slots = [parts.graph.at(slot) for slot in range(parts.graph.size())]
+        found = cls(smoother_of(slots, values_from(state["smoother"]["values"]), parameters), gate, parts.radii)
         found._offers, found._kept = parts.offers, parts.kept
         return found
-
-    def save(self, path: Path | str) -> None:
-        """Write `state` to a file; a power failure leaves the old file or the new file."""
-        outputs.write_text(path, json.dumps(self.state()))
 
     @classmethod
     def load(

@@ -9,7 +9,8 @@ from typing import Any
 
 import gtsam
 
-from pgti_gtsam.factor_graphs import factors_of, keys_of, slots_of, without
+from pgti_gtsam.factor_graphs import factors_of, graph_of, keys_of, slots_of, without
+from pgti_gtsam.gate.saved import State, archive_of, graph_from, values_from
 
 
 @dataclass(slots=True, eq=False)
@@ -41,6 +42,47 @@ class Remembered:
         self._newest = max(self.times.values(), default=-float("inf"))
         self._queue = [(time, key) for key, time in self.times.items()]
         heapify(self._queue)
+
+    def state(self) -> State:
+        """The smoother and what is remembered beyond the graph; raises as `saved.archive_of` does."""
+        # the smoother's factors: slots of the map, or −1 − the slot among the factors that marginalisation made
+        slots = {id(factor): (slot, factor) for slot, factor in slots_of(self.graph)}
+        own, apart = list[int](), gtsam.NonlinearFactorGraph()
+        for factor in factors_of(self.smoother.getFactors()):
+            known = slots.get(id(factor))
+            if known is None:
+                apart.push_back(factor)
+            own.append(-apart.size() if known is None else known[0])
+        return {
+            "kind": type(self.smoother).__name__,
+            "lag": self.smoother.smootherLag(),
+            "factors": own,
+            "factors_apart": archive_of(apart),
+            "values": self.smoother.getLinearizationPoint().serialize(),
+            "times": [[key, time] for key, time in self.times.items()],
+            "behind": self.behind.serialize(),
+            "beyond": sorted(self.beyond),
+        }
+
+    @classmethod
+    def resumed(cls, state: State, graph: gtsam.NonlinearFactorGraph, parameters: Any | None) -> Remembered:
+        """What `state` tells, with a smoother made anew.
+
+        Parameters
+        ----------
+        state : dict
+        graph : gtsam.NonlinearFactorGraph
+            Of the whole map.
+        parameters : gtsam.ISAM2Params or gtsam.LevenbergMarquardtParams, optional
+            Of the smoother.
+        """
+        smoother = getattr(gtsam, state["kind"])(state["lag"], *([] if parameters is None else [parameters]))
+        apart = graph_from(state["factors_apart"])
+        factors = [graph.at(slot) if slot >= 0 else apart.at(-1 - slot) for slot in state["factors"]]
+        smoother.update(graph_of(factors), values_from(state["values"]), dict(state["times"]))
+        found = cls(smoother)
+        found.graph, found.behind, found.beyond = graph, values_from(state["behind"]), set(state["beyond"])
+        return found
 
     def valueExists(self, key: int) -> bool:
         """Whether the map has a variable, in the window or behind it."""

@@ -1,14 +1,15 @@
-"""A gated smoother written down: factors, values, closures and radii, and the map kept between closures.
+"""A gated smoother written down: factors, closures and radii, and the map kept between closures.
 
-Factors and values are GTSAM's own text archives, which hold every number exactly; all else is JSON. iSAM2 itself has no
-archive: the smoother is made anew from its factors, linearised where it was. The kept map's reference is settled anew
-from the factors and the estimate at that time, so that the next verdicts equal those of a run without a break.
+Factors and values are GTSAM's own text archives, which hold every number exactly; all else is JSON. Smoothers
+themselves have no archive: a smoother is made anew from its factors, linearised where it was. The kept map's reference
+is settled anew from the factors and the estimate at that time, so that the next verdicts equal those of a run without a
+break.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,35 +21,41 @@ from pgti_gtsam.errors import FileFormatError, InvalidGraphError
 from pgti_gtsam.factor_graphs import factors_of, graph_of
 from pgti_gtsam.gate.gate import LoopClosureGate
 from pgti_gtsam.gate.grown_map import GrownMap, Tail
-from pgti_gtsam.gate.history import Offer, smoother_of
+from pgti_gtsam.gate.history import Offer
 from pgti_gtsam.gate.kept_map import KeptMap, Standing
 from pgti_gtsam.gate.ties import Ties
 from pgti_gtsam.pose_graph import Radii
 
-SCHEMA, VERSION = "pgti-gtsam/gate-state", 1
+SCHEMA, VERSION = "pgti-gtsam/gate-state", 2
 
 State = dict[str, Any]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Parts:
-    """The parts of a gated smoother, without the gate."""
+    """The parts of a gated smoother, without gate and smoother; the graph is that of the whole map."""
 
-    smoother: gtsam.ISAM2
+    graph: gtsam.NonlinearFactorGraph
     radii: Radii | None
     offers: list[Offer]
     kept: KeptMap
 
 
-def encoded(parts: Parts) -> State:
+def encoded(parts: Parts, smoother: State) -> State:
     """The parts as JSON-ready state.
+
+    Parameters
+    ----------
+    parts : Parts
+    smoother : State
+        What the smoother has beyond these, with its kind.
 
     Raises
     ------
     InvalidGraphError
         A factor that GTSAM has no archive of, a `gtsam.CustomFactor` say.
     """
-    graph, radii = parts.smoother.getFactorsUnsafe(), parts.radii
+    graph, radii = parts.graph, parts.radii
     apart = gtsam.NonlinearFactorGraph()
     offers = [
         {"factors": _placed(offer, graph, apart), "slots": list(offer.slots), "is_waiting": offer.is_waiting}
@@ -61,43 +68,46 @@ def encoded(parts: Parts) -> State:
     return {
         "schema": SCHEMA,
         "schema_version": VERSION,
-        "factors": _archive(graph),
-        "values": parts.smoother.getLinearizationPoint().serialize(),
+        "smoother": smoother,
+        "factors": archive_of(graph),
         "radii": [[int(key), float(radius)] for key, radius in radii.items()] if isinstance(radii, Mapping) else radii,
         "closures": offers,
-        "closures_apart": _archive(apart),
+        "closures_apart": archive_of(apart),
         "kept": {
             "map": _encoded_map(kept.map) if kept.map is not None and stands else None,
-            "news": [[_archive(factors), values.serialize()] for factors, values in kept.news],
+            "news": [[archive_of(factors), values.serialize()] for factors, values in kept.news],
         },
     }
 
 
-def decoded(state: State, parameters: gtsam.ISAM2Params, gate: LoopClosureGate) -> Parts:
+def decoded(state: State, kinds: Collection[str], gate: LoopClosureGate, *, reuses_slots: bool = False) -> Parts:
     """The parts of a state.
 
     Parameters
     ----------
     state : State
-    parameters : gtsam.ISAM2Params
-        Of iSAM2.
+    kinds : collection of str
+        Of smoothers whose states are expected.
     gate : LoopClosureGate
+    reuses_slots : bool
+        Whether new factors take the map's empty slots.
 
     Raises
     ------
     InvalidGraphError
-        No state, or a state of another version.
+        No state, a state of another version, or of another kind of smoother.
     """
     if state.get("schema") != SCHEMA or state.get("schema_version") != VERSION:
         raise InvalidGraphError(
             f"expected a state of {SCHEMA} {VERSION}, got {state.get('schema')} {state.get('schema_version')}; "
             "start without"
         )
+    if state["smoother"]["kind"] not in kinds:
+        raise InvalidGraphError(f"expected the state of {' or '.join(kinds)}, got that of {state['smoother']['kind']}")
 
-    # the smoother, and the closures' factors, which it shares
-    graph, apart = _graph(state["factors"]), _graph(state["closures_apart"])
+    # the factors of the map, and the closures' factors, which are factors of the map
+    graph, apart = graph_from(state["factors"]), graph_from(state["closures_apart"])
     slots = [graph.at(slot) for slot in range(graph.size())]
-    smoother = smoother_of(slots, _values(state["values"]), parameters)
     offers = [
         Offer(
             graph_of([slots[k] if k >= 0 else apart.at(-1 - k) for k in offer["factors"]]),
@@ -111,13 +121,13 @@ def decoded(state: State, parameters: gtsam.ISAM2Params, gate: LoopClosureGate) 
     radii, kept = state["radii"], state["kept"]
     radii = dict(radii) if isinstance(radii, list) else radii
     return Parts(
-        smoother=smoother,
+        graph=graph,
         radii=radii,
         offers=offers,
         kept=KeptMap(
             map=None if kept["map"] is None else _decoded_map(kept["map"], gate, radii),
-            news=[(_graph(factors), _values(values)) for factors, values in kept["news"]],
-            standing=Standing.of(smoother.getFactorsUnsafe(), reuses_slots=parameters.findUnusedFactorSlots),
+            news=[(graph_from(factors), values_from(values)) for factors, values in kept["news"]],
+            standing=Standing.of(graph, reuses_slots=reuses_slots),
         ),
     )
 
@@ -154,7 +164,7 @@ def _encoded_map(grown: GrownMap) -> State:
     # what the reference map was made of, and the keyframes since
     reference = grown.reference
     state: State = {
-        "factors": _archive(reference.graph),
+        "factors": archive_of(reference.graph),
         "values": reference.keyframes.values.serialize(),
         "keys": list(grown.places)[len(reference.pose_graph) :],
         "ends": [[robot, key] for robot, key in grown.ends.items()],
@@ -179,10 +189,10 @@ def _encoded_map(grown: GrownMap) -> State:
 
 def _decoded_map(state: State, gate: LoopClosureGate, radii: Radii | None) -> GrownMap:
     # the reference map, settled anew
-    values = _values(state["values"])
+    values = values_from(state["values"])
     if isinstance(radii, Mapping):
         radii = {key: radius for key, radius in radii.items() if values.exists(key)}
-    reference = gate.reference_map(_graph(state["factors"]), values, radii)
+    reference = gate.reference_map(graph_from(state["factors"]), values, radii)
 
     # the keyframes and the closures since
     model, n = reference.settled.model, len(reference.pose_graph)
@@ -206,7 +216,8 @@ def _decoded_map(state: State, gate: LoopClosureGate, radii: Radii | None) -> Gr
     )
 
 
-def _archive(graph: gtsam.NonlinearFactorGraph) -> str:
+def archive_of(graph: gtsam.NonlinearFactorGraph) -> str:
+    """GTSAM's archive of a graph; raises InvalidGraphError for factors that have none."""
     try:
         return str(graph.serialize())
     except RuntimeError as error:
@@ -215,13 +226,15 @@ def _archive(graph: gtsam.NonlinearFactorGraph) -> str:
         ) from error
 
 
-def _graph(archive: str) -> gtsam.NonlinearFactorGraph:
+def graph_from(archive: str) -> gtsam.NonlinearFactorGraph:
+    """The graph of an archive."""
     graph = gtsam.NonlinearFactorGraph()
     graph.deserialize(archive)
     return graph
 
 
-def _values(archive: str) -> gtsam.Values:
+def values_from(archive: str) -> gtsam.Values:
+    """The values of an archive."""
     values = gtsam.Values()
     values.deserialize(archive)
     return values
@@ -235,6 +248,6 @@ def _archived_poses(poses: Sequence[Any]) -> str:
 
 
 def _poses(archive: str, *, is_planar: bool) -> tuple[Any, ...]:
-    values = _values(archive)
+    values = values_from(archive)
     at = values.atPose2 if is_planar else values.atPose3
     return tuple(at(k) for k in range(values.size()))
