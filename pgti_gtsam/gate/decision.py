@@ -12,8 +12,8 @@ Verdict = Literal["accepted", "undecided", "rejected"]
 
 
 def metres(length: float) -> str:
-    """A length in words, with two digits below ten metres."""
-    return f"{length:.2g} m" if length < 10 else f"{length:.0f} m"
+    """A length in words: two digits below ten metres, and of lengths that no map has."""
+    return f"{length:.0f} m" if 10 <= length < 1e9 else f"{length:.2g} m"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
