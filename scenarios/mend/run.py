@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from pgti_gtsam import outputs
-from scenarios.mend import aces, fits, logs, worlds
+from scenarios.mend import aces, fits, limits, logs, worlds
 
 Found = dict[str, list[dict[str, Any]]]
 
@@ -39,6 +39,9 @@ def run(data: Path | None, seeds: Sequence[int], out: Path, tell: Callable[[str]
             path = Path(data or "") / "scan_pose_graphs" / f"{log}.log"
             keep("logs", {"log": log, "kind": kind, "seed": seed}, lambda p=path, k=kind, s=seed: logs.row(p, k, s))
     if data is not None:
+        for log in logs.LOGS:
+            path = Path(data) / "scan_pose_graphs" / f"{log}.log"
+            keep("limits", {"log": log}, lambda p=path: limits.row(p))
         keep("aces", {"log": "aces"}, lambda: aces.row(Path(data) / "radish_aces" / "aces.clf.bz2"))
     for world in worlds.WORLDS:
         for seed in seeds:
