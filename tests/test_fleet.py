@@ -18,6 +18,7 @@ from streets import RADIUS, block, driven
 from pgti_gtsam import datasets, fleet
 from pgti_gtsam.diagnosis import diagnose
 from pgti_gtsam.errors import InvalidOptionError, InvalidValueError
+from pgti_gtsam.fleet.jobs import WAY_POINTS, summarised
 from pgti_gtsam.report.document import audit_document
 from pgti_gtsam.report.fleet import fleet_document, gravity, write_fleet_page, write_table
 
@@ -222,6 +223,15 @@ def hostile_rows():
     return [*rows, {"key": "z", "map": name, "failed": name}]
 
 
+@pytest.mark.parametrize("scale", [1e-6, 1.0, 1e5])
+def test_the_picture_of_a_way_keeps_a_thousandth_of_its_size(document, scale):
+    positions = scale * np.array(document["keyframes"]["position"])[:WAY_POINTS]
+    scaled = copy.deepcopy(document)
+    scaled["keyframes"] |= {"position": positions.tolist()}
+    way = np.array(summarised(scaled)["way"])
+    np.testing.assert_allclose(way, positions[:, :2], rtol=0, atol=np.ptp(positions[:, :2], axis=0).max() / 1000)
+
+
 def test_the_worst_map_comes_first_and_damage_ranks_maps():
     rows = hostile_rows()[:-1]
     order = [row["collisions"] for row in sorted(rows, key=gravity)]
@@ -259,6 +269,7 @@ def test_a_table_that_cannot_be_meant_is_refused(run, maps, tmp_path):
 def test_the_index_page_draws_any_rows_as_text(tmp_path):
     document = fleet_document(hostile_rows(), {"audit": "none"}, "maps", ["a note"])
     write_fleet_page(document, tmp_path / "index.html")
+    assert (tmp_path / "index.html").stat().st_size < 100_000  # a page without plots carries no library of plots
     dom = dom_of_page(tmp_path / "index.html")
     assert 'data-ready="true"' in dom
     assert "data-pwned" not in dom

@@ -101,9 +101,11 @@ def summarised(document: Mapping[str, Any]) -> Row:
     places, labels = [place["kind"] for place in document["places"]], document["keyframes"]["label"]
     least = min(closures, key=lambda closure: closure["log_odds"], default=None)
 
-    # a picture of the way
-    positions = np.array(document["keyframes"]["position"])
+    # a picture of the way, to a thousandth of its size
+    positions = np.array(document["keyframes"]["position"])[:, :2]
     some = np.unique(np.linspace(0, len(positions) - 1, min(WAY_POINTS, len(positions))).astype(np.int64))
+    size = np.ptp(positions, axis=0).max()
+    decimals = 3 - int(np.floor(np.log10(size))) if size > 0 else 0
     return {
         "verdict": document["verdict"]["level"],
         "text": document["verdict"]["text"],
@@ -116,7 +118,7 @@ def summarised(document: Mapping[str, Any]) -> Row:
         "least_probable": None
         if least is None
         else {"keyframes": [labels[k] for k in least["keyframes"]], "probability": least["probability"]},
-        "way": np.round(positions[some, :2], 3).tolist(),
+        "way": np.round(positions[some], decimals).tolist(),
     }
 
 

@@ -56,7 +56,7 @@ function fillMaps() {
     return button;
   });
   byId("map-table").replaceChildren(
-    table({ columns: heads, rows: shown.map((map) => columns.map(([, cell]) => cell(map))) }));
+    table({ columns: heads, rows: shown.map((map) => columns.map(([, cell]) => cell(map))), className: "stacked" }));
 }
 
 fillHead(fleet, "the audits");
@@ -69,6 +69,6 @@ byId("notes").replaceChildren(...notesOf(fleet.input));
 byId("filter").addEventListener("input", (event) => { state.filter = event.target.value.toLowerCase(); fillMaps(); });
 byId("failures").hidden = failed.length === 0;
 byId("failed-table").replaceChildren(
-  table({ columns: ["map", "why"], rows: failed.map((map) => [element("span", { textContent: fileName(map.map), title: map.map }), map.failed]) }));
+  table({ columns: ["map", "why"], className: "stacked", rows: failed.map((map) => [element("span", { textContent: fileName(map.map), title: map.map }), map.failed]) }));
 fillMaps();
 document.body.dataset.ready = "true";

@@ -75,8 +75,8 @@ const markTime = () => Plotly.relayout("time", { shapes: timeMarks() });
 function describeTime() {
   const parts = ["Click a closure to choose it."];
   if (gated.options.rule === "log_odds") parts.push("Dotted: from where closures are accepted, and up to where rejected.");
-  parts.push(hasScores
-    ? "Λ_glob of the map: from without the closure to with it, all else as in the end."
-    : "Λ_glob before and after was not computed: --scores adds both.");
-  byId("time-hint").textContent = parts.join(" ");
+  const rest = hasScores
+    ? " of the map: from without the closure to with it, all else as in the end."
+    : " before and after was not computed: --scores adds both.";
+  byId("time-hint").replaceChildren(`${parts.join(" ")} `, symbol("Λ_glob"), rest);
 }

@@ -43,7 +43,7 @@ function fillClosures(choose) {
       ...(hasTruth ? [known(c)] : []), c.reasons.join(" "),
     ];
   });
-  const filled = table({ columns, rows });
+  const filled = table({ columns, rows, className: "stacked" });
   shown.slice(0, mostRows).forEach((k, row) => {
     filled.tBodies[0].rows[row].classList.toggle("mistaken", isMistaken(closures[k]));
     filled.tBodies[0].rows[row].addEventListener("click", () => choose(k));

@@ -30,7 +30,7 @@ function fillAttempts() {
     const moved = a.moved_m === null ? "–" : `${short(Number(a.moved_m.toFixed(2)))} m, ${a.moved_deg.toFixed(1)}°`;
     return [box, link(a.labels.join(" – ")), outcome, a.place ?? "–", moved, part(a.agreement), part(a.seen), a.reason];
   });
-  const filled = table({ columns: ["take", "keyframes", "outcome", "place", "moved", "agreement", "seen by both", "why"], rows });
+  const filled = table({ columns: ["take", "keyframes", "outcome", "place", "moved", "agreement", "seen by both", "why"], rows, className: "stacked" });
   attempts.forEach((_, k) => filled.tBodies[0].rows[k].addEventListener("click", () => choose(k)));
   byId("attempts").replaceChildren(attempts.length ? filled : element("p", { className: "muted" }, "None: nothing that is untied was found."));
   tellTaken();
@@ -45,7 +45,7 @@ function fillOut() {
   const labels = keyframes.label;
   byId("out-card").hidden = !mended.out.length;
   byId("out").replaceChildren(table({
-    columns: ["closure", "verdict", "probability", "why"],
+    columns: ["closure", "verdict", "probability", "why"], className: "stacked",
     rows: mended.out.map((c) => [c.keyframes.map((k) => labels[k]).join(" – "), c.verdict, probability(c.probability), c.reason]),
   }));
 }

@@ -21,12 +21,19 @@ const viridis = [
   [68, 1, 84], [72, 35, 116], [64, 67, 135], [52, 94, 141], [41, 120, 142], [32, 144, 140], [34, 167, 132],
   [68, 190, 112], [121, 209, 81], [189, 222, 38], [253, 231, 36],
 ];
-const colourOf = Array.from({ length: 256 }, (_, level) => {
-  if (level === 255) return theme().red;
-  const at = (level / 254) * (viridis.length - 1);
-  const k = Math.min(Math.floor(at), viridis.length - 2);
-  return `rgb(${viridis[k].map((c, i) => Math.round(c + (at - k) * (viridis[k + 1][i] - c))).join()})`;
-});
+const dark = window.matchMedia("(prefers-color-scheme: dark)");
+const stops = () => (dark.matches ? viridis.slice(3) : viridis); // the first three are as dark as a dark page
+
+/** Colours by level; the last is that of an infinite ζ. */
+function levelColours() {
+  const scale = stops();
+  return Array.from({ length: 256 }, (_, level) => {
+    if (level === 255) return theme().red;
+    const at = (level / 254) * (scale.length - 1);
+    const k = Math.min(Math.floor(at), scale.length - 2);
+    return `rgb(${scale[k].map((c, i) => Math.round(c + (at - k) * (scale[k + 1][i] - c))).join()})`;
+  });
+}
 
 /** The two axes along which the map is largest, the longer one across; a camera's y axis points down. */
 const plan = (() => {
@@ -64,6 +71,7 @@ function toPixels(width, height) {
 }
 
 function drawPlan() {
+  byId("scale").style.background = `linear-gradient(90deg, ${stops().map((c) => `rgb(${c.join()})`).join()})`;
   const canvas = byId("plan");
   const ratio = window.devicePixelRatio;
   const { clientWidth: width, clientHeight: height } = canvas;
@@ -107,6 +115,7 @@ function drawKeyframes(context, at, colors) {
   const level = (i) => levels[begins[state.moment] + i];
   const order = Array.from(at.keys()).sort((a, b) => level(a) - level(b));
   const size = at.length > 2000 ? 2.2 : 3.2;
+  const colourOf = levelColours();
   for (const i of order) {
     context.fillStyle = colourOf[level(i)];
     context.beginPath();
@@ -150,7 +159,7 @@ function drawCurves() {
     ...plainLayout(), hovermode: "x unified", showlegend: true, margin: { l: 58, r: 12, t: 20, b: 44 },
     xaxis: flatAxis("keyframes", { anchor: "y4", tickformat: ",d" }),
     yaxis: scale("score", tops[0]), yaxis2: scale("at worst", tops[1]), yaxis3: scale("part of max", tops[2]),
-    yaxis4: { ...scale("edges", tops[3]), tickformat: ",d" }, shapes: [upright(x[state.moment])],
+    yaxis4: { ...scale("edges", tops[3]), tickformat: ",d", ...(largest(moments.n_inserted) < 4 ? { dtick: 1 } : {}) }, shapes: [upright(x[state.moment])],
     legend: legend(tops[0]), legend2: legend(tops[1]), legend3: legend(tops[2]), legend4: legend(tops[3]),
   };
   return Plotly.react("curves", traces, layout, plotConfig);
@@ -200,9 +209,8 @@ function fillWords() {
   byId("notes").replaceChildren(...notesOf(replayed.input));
   byId("verdict-level").textContent = `Λ ${short(moments.score.at(-1))}`;
   byId("verdict-text").textContent = `at the end; the largest was ${short(largest(moments.score))}`;
-  byId("scale").style.background = `linear-gradient(90deg, ${viridis.map((c) => `rgb(${c.join()})`).join()})`;
   byId("map-hint").textContent =
-    "Dark ring: the keyframe with the largest ζ. Grey ring: the newest keyframe." + (moved === null ? " Grey dots: where the map will grow." : " Each moment as it was estimated then.");
+    "Strong ring: the keyframe with the largest ζ. Faint ring: the newest keyframe." + (moved === null ? " Faint dots: where the map will grow." : " Each moment as it was estimated then.");
   byId("lags").replaceChildren(table({
     columns: ["metric", "lag", "correlation", "without lag"], heads: 1, className: "counts",
     rows: replayed.lags.map((row) => [symbol(row.metric), row.lag ?? "–", short(row.correlation), short(row.at_zero)]),
@@ -221,5 +229,5 @@ byId("play").addEventListener("click", play);
 for (const id of ["show-pose-graph", "show-inserted"]) byId(id).addEventListener("change", drawPlan);
 byId("curves").on("plotly_click", ({ points }) => show(moments.n_keyframes.indexOf(points[0].x)));
 window.addEventListener("resize", drawPlan);
-window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => drawCurves().then(drawPlan));
+dark.addEventListener("change", () => drawCurves().then(drawPlan));
 document.body.dataset.ready = "true";

@@ -54,10 +54,18 @@ function symbol(text) {
   return element("span", {}, base, ...(below ? [element("sub", {}, below)] : []));
 }
 
-/** A table of rows of cells (text or nodes); the first `heads` cells of a row are its headers. */
+/**
+ * A table of rows of cells (text or nodes); the first `heads` cells of a row are its headers.
+ * Where the table is "stacked", a phone shows every row as lines of its own, with the column's name before each text.
+ */
 function table({ caption, columns, rows, heads = 0, className = "" }) {
   const header = (scope) => (cell) => element("th", { scope }, cell);
-  const cells = (row) => row.map((cell, k) => (k < heads ? header("row")(cell) : element("td", {}, cell)));
+  const named = (cell, k) => {
+    const node = element("td", {}, cell);
+    if (columns && typeof cell !== "object") node.dataset.column = columns[k].textContent ?? columns[k];
+    return node;
+  };
+  const cells = (row) => row.map((cell, k) => (k < heads ? header("row")(cell) : named(cell, k)));
   return element("table", { className },
     ...(caption ? [element("caption", {}, caption)] : []),
     ...(columns ? [element("thead", {}, element("tr", {}, ...columns.map(header("col"))))] : []),
