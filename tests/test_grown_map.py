@@ -1,12 +1,16 @@
 """A map that grows by keyframes and closures, against the map made anew."""
 
+from dataclasses import replace
+from functools import reduce
+
 import gtsam
 import numpy as np
 import pytest
 from streets import RADIUS, between, block, driven, straight
 
 from pgti_gtsam.gate.gate import LoopClosureGate
-from pgti_gtsam.gate.grown_map import GrownMap
+from pgti_gtsam.gate.grown_map import MOST_CLOSURES, GrownMap, Tail
+from pgti_gtsam.gate.ties import Ties
 
 LAP = 4 * 32  # steps around a block of 60 m
 GATE = LoopClosureGate()
@@ -131,3 +135,15 @@ def test_a_closure_that_bends_the_map_asks_for_a_new_one(world):
     grown = GrownMap.of(GATE.reference_map(*part(world, LAP + 60), RADIUS))
     assert grown.tied_by(world.closure(8, LAP + 8)) is not None
     assert grown.tied_by(world.closure(20, LAP, type(world.truth[0])())) is None
+
+
+def test_the_map_is_made_anew_after_many_closures_or_when_the_tail_is_longer_than_the_map():
+    world = driven(straight(8))
+    grown = GrownMap.of(GATE.reference_map(*part(world, 4), RADIUS))
+    tie = grown.offered(world.closure(0, 4))
+    many = reduce(Ties.joined, [tie] * (MOST_CLOSURES + 1))
+    long = Tail(poses=(gtsam.Pose2(),) * 6, roots=np.zeros(6, dtype=np.int64), gathered=np.zeros((6, 3, 3)))
+    assert not grown.is_worn
+    assert not replace(grown, closures=many.only(slice(1, None))).is_worn
+    assert replace(grown, closures=many).is_worn
+    assert replace(grown, tail=long).is_worn

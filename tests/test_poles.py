@@ -70,3 +70,11 @@ def test_the_fit_from_zero_keeps_the_zero_mode():
 def test_a_tolerance_out_of_range_is_refused(tolerance):
     with pytest.raises(InvalidOptionError, match="tolerance"):
         poles.shifts_for(1.0, 10.0, tolerance)
+
+
+@pytest.mark.parametrize("unit", [1e-6, 1e6])
+def test_the_unit_of_the_spectrum_is_nothing_to_the_fit(unit):
+    shifts, times = poles.shifts_for(1e-7, 1e2, 1e-8), np.geomspace(0.05, 1e3, 20)
+    used = [np.abs(poles.fit(shifts * u, times / u, 1e-3 * u, u).weights).any(axis=1) for u in (1.0, unit)]
+    assert (used[0] == used[1]).all()
+    assert 0 < used[0].sum() < len(shifts)

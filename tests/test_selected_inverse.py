@@ -119,3 +119,10 @@ def test_inverses_by_halves(size):
     a = rng.normal(size=(3, size, size)) + 1j * rng.normal(size=(3, size, size))
     a = a + a.swapaxes(1, 2) + 8 * np.eye(size)
     np.testing.assert_allclose(inverted(a) @ a, np.broadcast_to(np.eye(size), a.shape), atol=1e-9)
+
+
+def test_columns_of_one_pattern_are_eliminated_together():
+    pairs = np.argwhere(np.triu(np.ones((6, 6)), 1))
+    assert len(analyse(6, pairs).starts) - 1 <= 2
+    two = np.concatenate([pairs, pairs + 6])
+    assert len(analyse(12, two).starts) - 1 <= 4

@@ -18,6 +18,7 @@ from pgti_gtsam.gate.terms.contact_rise import bridged_overlaps, contacts
 from pgti_gtsam.places import places_on
 from pgti_gtsam.pose_graph import EdgeSource
 from pgti_gtsam.track import closure_edges, track_of
+from pgti_gtsam.track.steps import dense_to
 
 STEP = gtsam.Pose2(1, 0, 0)
 CORNER = gtsam.Pose2(1, 0, np.pi / 2)
@@ -339,3 +340,11 @@ def test_a_pose_graph_made_by_hand_is_one_chain():
     assert track.chain.tolist() == [0, 0, 0, 0]
     assert track.order.tolist() == [0, 1, 2, 3]
     assert track.n_chains == 1
+
+
+@pytest.mark.parametrize(
+    ("n", "tied", "expected"), [(5, [0, 1, 2], 2), (5, [0, 2], 1), (4, [0, 1], 1), (20, range(5), 1)]
+)
+def test_neighbours_are_dense_where_three_at_least_and_three_in_ten_are_tied(n, tied, expected):
+    pairs = np.array([(k, k + 2) for k in tied])
+    assert dense_to(np.zeros(n, dtype=np.int64), pairs, pairs).tolist() == [expected]
