@@ -58,7 +58,7 @@ def factorise(tree: EliminationTree, diagonal: FloatArray, pairs: IntArray, bloc
     Raises
     ------
     numpy.linalg.LinAlgError
-        The matrix is singular.
+        The matrix is singular, or float64s cannot hold its inverse.
     """
     d, fronts = diagonal.shape[1], tree.fronts.tolist()
     entries = _Entries.of(tree, pairs)
@@ -78,7 +78,10 @@ def factorise(tree: EliminationTree, diagonal: FloatArray, pairs: IntArray, bloc
         # eliminate the pivots, and hand the rest to the parent
         flat, cut = _flat(front), w * d
         inverse = np.asarray(np.linalg.inv(flat[:cut, :cut]), dtype=np.float64)
-        coupling = inverse @ flat[:cut, cut:]
+        with np.errstate(invalid="ignore", over="ignore"):
+            coupling = inverse @ flat[:cut, cut:]
+        if not (np.isfinite(inverse).all() and np.isfinite(coupling).all()):
+            raise np.linalg.LinAlgError("expected a matrix whose inverse float64s can hold")
         if parent >= 0:
             above = pending.setdefault(parent, np.zeros((fronts[parent], fronts[parent], d, d)))
             above[np.ix_(into, into)] += _blocks(flat[cut:, cut:] - flat[cut:, :cut] @ coupling, d)
