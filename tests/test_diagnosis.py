@@ -93,6 +93,19 @@ def test_a_false_closure_is_named_and_places_that_it_folds_are_laid_to_its_charg
         assert (f"4 – {4 + lap // 2}" in place.remedy) == is_folded
 
 
+def test_stretches_that_touch_only_with_a_false_closure_are_a_fold_that_it_makes():
+    world = streets.driven(streets.block(60), bias=1e-4, noise=0.002, seed=2)
+    last = len(world.truth) - 1
+    false = world.closure(16, 80, gtsam.Pose2())  # one side of the block laid on the opposite side
+    found = diagnosed(*tied(world, [world.closure(0, last), world.closure(1, last - 1), false]))
+    assert kinds(found) == ["likely false closure"]
+    (place,) = (place for place in found.places if place.kind == "likely false closure")
+    assert place.closure == found.closures[0].keyframes == (16, 80)
+    assert "16 – 80" in place.remedy
+    apart = [np.linalg.norm(world.truth[i].translation() - world.truth[j].translation()) for i, j in place.edges]
+    assert min(apart) > 2 * RADIUS
+
+
 @pytest.mark.parametrize("shift", [0.0, 1.0, 2.0])
 @pytest.mark.parametrize("length", [10, 60, 200, 1000])
 def test_a_drive_out_and_back_is_consistent_only_while_the_drift_is_small_against_the_spheres(length, shift):
