@@ -102,14 +102,14 @@ function describePlace(k) {
     const by = p.closure ? `Brought about by the closure ${closureLabel({ keyframes: p.closure })}. ` : "";
     return `Place ${p.rank}. ${by}The contact is real, not made by drift, with probability ${probability(p.probability)}. ` +
       `Drift allows ${lengthOf(p.allowance_m)}, spheres reach ${lengthOf(p.reach_m)}. ${plural(p.edges.length, "overlap")} that a tie ` +
-      `explains; gain ${short(p.gain)}. ζ up to ${short(p.score)}, mostly ${p.scale}; stable score ${short(p.stable_score)}.`;
+      `would explain; gain ${short(p.gain)}. ζ up to ${short(p.score)}, mostly ${p.scale}; stable score ${short(p.stable_score)}.`;
   };
   byId("places-hint").textContent =
     !places.length ? "None: the pose graph has every connection that the free space shows." :
     k === null ? "Choose a row to see the place on the map." : said();
 }
 
-const lengthOf = (value) => (value === infinity ? "unbounded" : `${rough(value)} m`);
+const lengthOf = (value) => (value === infinity ? "any distance" : `${rough(value)} m`);
 const closureLabel = ({ keyframes: [i, j] }) => `${keyframes.label[i]} – ${keyframes.label[j]}`;
 const isJudged = (closure) => closure.probability !== null;
 
