@@ -20,16 +20,16 @@ OFFLINE = [
     "--host-resolver-rules=MAP * ~NOTFOUND",
     "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader",
-    "--window-size=1400,1000",
     "--virtual-time-budget=10000",
 ]
 
 needs_chromium = pytest.mark.skipif(CHROMIUM is None, reason="needs a browser: Debian package chromium")
 
 
-def dom_of_page(path, fragment=""):
-    """The DOM of a file after its scripts have run."""
-    command = [CHROMIUM, *OFFLINE, f"--user-data-dir={path.parent / 'profile'}", "--dump-dom", path.as_uri() + fragment]
+def dom_of_page(path, fragment="", width=1400):
+    """The DOM of a file after its scripts have run in a window of so many pixels; a browser has 500 at least."""
+    shown = [f"--window-size={width},1000", f"--user-data-dir={path.parent / 'profile'}", "--dump-dom"]
+    command = [CHROMIUM, *OFFLINE, *shown, path.as_uri() + fragment]
     return subprocess.run(command, capture_output=True, text=True, timeout=180, check=True).stdout
 
 
@@ -37,6 +37,19 @@ def run_after_script(monkeypatch, name, script):
     """Let every page run a script after one of its own: `assembled` puts its hash into the policy."""
     asset = web.asset
     monkeypatch.setattr(web, "asset", lambda each: asset(each) + script * (each == name))
+
+
+TELL_WHAT_IS_CUT = """
+document.body.dataset.cut = JSON.stringify([document.documentElement, ...document.querySelectorAll(".scroll")]
+  .filter((box) => box.scrollWidth > box.clientWidth + 1).map((box) => box.id || box.tagName));
+"""
+
+
+def cut_on_a_phone(path, monkeypatch, write, script):
+    """What scrolls sideways on a phone, of the page that `write` writes to a path: identifiers, as JSON."""
+    run_after_script(monkeypatch, script, TELL_WHAT_IS_CUT)
+    write(path)
+    return re.search(r'data-cut="([^"]*)"', dom_of_page(path, width=500)).group(1)
 
 
 def rows_of(dom, table):

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from browser import dom_of_page, needs_chromium, rows_of
+from browser import cut_on_a_phone, dom_of_page, needs_chromium, rows_of
 from json_schemas import check
 from streets import RADIUS, block, driven
 
@@ -276,3 +276,12 @@ def test_the_index_page_draws_any_rows_as_text(tmp_path):
     assert "data-errors" not in dom
     assert len(rows_of(dom, "map-table")) == 12
     assert len(rows_of(dom, "failed-table")) == 1
+
+
+@needs_chromium
+def test_the_index_page_fits_a_phone(tmp_path, monkeypatch):
+    document = fleet_document(hostile_rows(), {"audit": "none"}, "maps", ["a note"])
+    cut = cut_on_a_phone(
+        tmp_path / "index.html", monkeypatch, lambda path: write_fleet_page(document, path), "fleet.js"
+    )
+    assert cut == "[]"

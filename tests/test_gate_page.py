@@ -6,7 +6,7 @@ import re
 
 import gtsam
 import pytest
-from browser import References, dom_of_page, needs_chromium, rows_of, run_after_script
+from browser import References, cut_on_a_phone, dom_of_page, needs_chromium, rows_of, run_after_script
 
 from pgti_gtsam.adapter.values import read_keyframes
 from pgti_gtsam.errors import InvalidValueError
@@ -106,6 +106,16 @@ def test_page_of_a_map_without_closures(tmp_path):
     body = re.search(r"<body[^>]*>", dom_of_page(tmp_path / "page.html", "#slot=2")).group()
     assert 'data-ready="true"' in body
     assert "data-errors" not in body
+
+
+@needs_chromium
+def test_nothing_scrolls_sideways_on_a_phone(tmp_path, monkeypatch):
+    assert (
+        cut_on_a_phone(
+            tmp_path / "page.html", monkeypatch, lambda path: write_gate_page(several(), path), "gate_main.js"
+        )
+        == "[]"
+    )
 
 
 def test_closures_of_the_document_point_at_its_keyframes():

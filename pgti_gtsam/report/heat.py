@@ -138,7 +138,7 @@ def _first_step(run: Mapping[str, Any]) -> tuple[str, str]:
         return "none", "the optimiser found the graph singular"
     at = run["first_step_is_flow_at"]
     time = "the end" if at == "infinite" else f"t = {_short(at)}"
-    return time, f"where its first step is, missed by {_short(run['first_step_missed_by'])}"
+    return time, f"time on the flow nearest the first step, off by {_short(run['first_step_missed_by'])}"
 
 
 def _short(value: float | None) -> str:
