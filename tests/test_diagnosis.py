@@ -49,6 +49,16 @@ def test_a_map_that_is_tied_where_it_passes_again_is_consistent():
     assert all(closure.probability > 0.99 for closure in found.closures)
 
 
+def test_a_common_way_with_few_ties_is_incomplete_fusion_which_is_told_and_harmless():
+    world, lap = two_laps()
+    found = diagnosed(*tied(world, [world.closure(i, i + lap) for i in range(0, lap, 40)]))
+    (place,) = (place for place in found.places if place.kind == "incomplete fusion")
+    assert found.verdict == "consistent"
+    assert place.score == pytest.approx(found.integrity.fusion.keyframe_scores[place.revisit.keyframes].max())
+    assert place.proposal is None
+    assert not any(place.kind == "incomplete fusion" for place in diagnosed(*tied(world, []), radius=0.5).places)
+
+
 def test_a_second_pass_without_a_tie_is_a_missed_closure_with_a_proposal_that_holds():
     world, _ = two_laps()
     found = diagnosed(*tied(world, []))
@@ -312,3 +322,23 @@ def test_a_pass_over_another_one_needs_no_tie_where_the_body_keeps_upright():
         assert found.verdict in ("incomplete", "undecided")
         assert "different view" not in kinds(found)
         assert all(place.rise_m == 0 for place in found.places)
+
+
+@pytest.mark.parametrize(("shared", "is_fixed"), [(1, False), (2, True)])
+def test_keyframes_that_share_too_few_landmarks_are_not_tied_by_these(shared, is_fixed):
+    """Two points fix a pose in the plane; a single point leaves a turn about it."""
+    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    noise = gtsam.noiseModel.Isotropic.Sigma(2, 0.1)
+    for k in range(10):
+        values.insert(k, gtsam.Pose2(2.0 * k, 0, 0))
+        for n in range(shared):
+            for seen in (k, k + 1):
+                x, y = 2.0 * seen + 1, 1.0 + n
+                if not values.exists(gtsam.symbol("l", 10 * seen + n)):
+                    values.insert(gtsam.symbol("l", 10 * seen + n), np.array([x, y]))
+                bearing = gtsam.Rot2.fromAngle(np.arctan2(y, x - 2.0 * k))
+                reach = np.hypot(x - 2.0 * k, y)
+                graph.push_back(gtsam.BearingRangeFactor2D(k, gtsam.symbol("l", 10 * seen + n), bearing, reach, noise))
+    found = pgti.diagnose(graph, values)
+    assert ("share the 2 landmarks" in found.reason) is not is_fixed
+    assert (found.verdict == "undecided") is not is_fixed

@@ -46,6 +46,12 @@ def test_tilt_that_drifts_as_heading_does_is_not_held():
     assert body_of(steps(400, 0.0, 0.03, gtsam.Rot3())).tilt > 0.3
 
 
+def test_a_body_that_is_not_held_at_all_keeps_its_own_axes():
+    body = body_of(steps(400, 0.0, 0.1, OPTICAL))
+    assert body.tilt == 1.0
+    assert body.levelling.equals(gtsam.Rot3(), 1e-12)
+
+
 def test_ramps_do_not_move_the_bound():
     n = 400
     pitch = np.where(np.arange(n) % 100 < 15, 0.15, 0.0)
