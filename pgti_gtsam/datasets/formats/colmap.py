@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from pgti_gtsam.datasets.dataset import Dataset
 from pgti_gtsam.datasets.source import Format, Source, read_bytes, read_lines, read_text
 from pgti_gtsam.datasets.sparse_model import sparse_model
-from pgti_gtsam.datasets.text import Line, TextFile, parse_numbers
+from pgti_gtsam.datasets.text import MAX_ID, Line, TextFile, parse_numbers
 from pgti_gtsam.errors import FileFormatError
 
 NAME = "COLMAP sparse model"
@@ -104,6 +104,8 @@ def _text_points(file: TextFile) -> Points:
         numbers = parse_numbers(file, line, line.fields)
         if len(numbers) < 8 or len(numbers) % 2:
             raise file.error("expected POINT3D_ID X Y Z R G B ERROR and pairs IMAGE_ID POINT2D_IDX", line.number)
+        if max(map(abs, (numbers[0], *numbers[8::2]))) > MAX_ID:
+            raise file.error("expected POINT3D_ID and each IMAGE_ID below 2**63", line.number)
         places[int(numbers[0])] = np.array(numbers[1:4])
         tracks += [(int(image), int(numbers[0])) for image in numbers[8::2]]
     return Points(places, np.array(tracks, np.int64).reshape(-1, 2))

@@ -33,18 +33,15 @@ def parse(source: Source) -> Dataset:
         keyframes = {int(key): keyframe for key, keyframe in content["keyframes"].items()}
         places = {int(key): np.array(mark["pos_w"], float) for key, mark in content["landmarks"].items()}
         poses = {key: _pose(keyframe) for key, keyframe in keyframes.items()}
-        seen = [
-            (key, int(mark)) for key, keyframe in keyframes.items() for mark in keyframe["lm_ids"] if int(mark) >= 0
-        ]
+        marks = [(key, int(mark)) for key, keyframe in keyframes.items() for mark in keyframe["lm_ids"]]
+        seen = np.array([pair for pair in marks if pair[1] >= 0], np.int64)
         parents = {key: int(keyframe["span_parent"]) for key, keyframe in keyframes.items()}
         edges = {(key, int(other)) for key, keyframe in keyframes.items() for other in keyframe["loop_edges"]}
-    except (ValueError, KeyError, TypeError, AttributeError, msgpack.UnpackException) as error:
+    except (ValueError, KeyError, TypeError, AttributeError, OverflowError, msgpack.UnpackException) as error:
         raise source.error(f"is a damaged map of stella_vslam: {type(error).__name__} {error}") from error
     ties = [(parent, key) for key, parent in sorted(parents.items()) if parent in poses]
     loops = sorted({(min(pair), max(pair)) for pair in edges if set(pair) <= poses.keys() and pair[0] != pair[1]})
-    return sparse_model(
-        source, format=NAME, poses=poses, points=places, seen=np.array(seen, np.int64), ties=ties, loops=loops
-    )
+    return sparse_model(source, format=NAME, poses=poses, points=places, seen=seen, ties=ties, loops=loops)
 
 
 def _pose(keyframe: Mapping[str, Any]) -> gtsam.Pose3:
