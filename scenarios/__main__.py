@@ -316,12 +316,15 @@ def stream_latency(
 
 @app.command("load")
 def closures_without_end(
-    closures: Annotated[int, typer.Option(help="Closures that are offered, one at each keyframe.")] = 50_000,
+    closures: Annotated[int, typer.Option(help="Closures that are offered, five at each keyframe.")] = 50_000,
     out: Annotated[Path, typer.Option(help="Where the JSON and the figure go.")] = RESULTS / "load.json",
 ) -> None:
     """Time, memory and open files of a gate that is offered closure upon closure. Hours; a thousand: a minute."""
-    rows = load.run(closures, seed=0, tell=print)
-    outputs.write_text(out, json_text.dumps(rows, indent=1) + "\n")
+    rows = []
+    for row in load.run(closures, seed=0):
+        rows.append(row)
+        outputs.write_text(out, json_text.dumps(rows, indent=1) + "\n")
+        print(load.line(row), flush=True)
     load.draw(rows, out.with_suffix(".png"))
     print(f"results: {out}")
 

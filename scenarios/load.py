@@ -35,28 +35,23 @@ Row = dict[str, Any]
 Step = tuple[gtsam.NonlinearFactorGraph, gtsam.Values, list[Any]]
 
 
-def run(n_closures: int, seed: int, tell: Callable[[str], None]) -> list[Row]:
-    """A row for each taker and point.
+def run(n_closures: int, seed: int) -> Iterator[Row]:
+    """A row for each taker and point, as it comes.
 
     Parameters
     ----------
     n_closures : int
     seed : int
         Of the drive.
-    tell : callable
-        Told each row in words.
     """
-    rows: list[Row] = []
     for taker in (_alone, _gated, _streamed):
         ours, theirs = multiprocessing.Pipe(duplex=False)
         process = multiprocessing.get_context("spawn").Process(target=taker, args=(n_closures, seed, theirs))
         process.start()
         theirs.close()
         while (row := _received(ours)) is not None:
-            rows.append(row)
-            tell(line(row))
+            yield row
         process.join()
-    return rows
 
 
 def line(row: Row) -> str:
