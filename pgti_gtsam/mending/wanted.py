@@ -14,6 +14,7 @@ from pgti_gtsam.gate.own_closures import own_closures
 from pgti_gtsam.gate.reference_map import ReferenceMap
 from pgti_gtsam.gate.ties import OFFSET
 from pgti_gtsam.mending.records import Attempt, Wanted
+from pgti_gtsam.mending.starts import EXTENT, SPACING
 from pgti_gtsam.places import neighbourhoods, places_on
 from pgti_gtsam.support_graph import support_graph
 from pgti_gtsam.track import track_of
@@ -27,9 +28,9 @@ SPACED = 1.0
 LOOSE = OFFSET
 """Allowance of the drift, in ρ, from which one more tie is wanted: what a match errs itself."""
 
-CLOSE = 1 / 3
-"""Allowance of the drift, in ρ, up to which a match starts from the prediction alone (`starts`), so that no surer tie
-has to come before."""
+CLOSE = SPACING / (2 * EXTENT)
+"""Allowance of the drift, in ρ, up to which no other position is searched (`starts`), so that no surer tie has to come
+before."""
 
 SURER = 2.0
 """Ties of a round beyond `CLOSE`: up to this factor of the smallest allowance. Ties that come in make others surer."""
