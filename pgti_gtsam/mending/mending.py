@@ -4,7 +4,8 @@
 2. The audit names the untied places, and the drift model says how large the drift may be there.
 3. Each place is matched by the scans of its keyframes, within that region.
 4. Confirmed ties go through the gate like any other closure; ties that pass are in, and the map is optimised.
-5. The better map predicts better: 2 to 4 again, until nothing is left to try.
+5. The better map predicts better: 3 and 4 again where the new ties hold loosely, then 2 to 4, until nothing is left to
+   try.
 """
 
 from __future__ import annotations
@@ -127,7 +128,7 @@ class _Mending:
     round: int = 0
 
     def tie_places(self) -> None:
-        """Rounds of matching and gate, until nothing is left to try. What needs no audit comes first."""
+        """Rounds of matching and gate, until nothing is left to try: loose places, then what a new audit asks for."""
         while True:
             reference = self._reference()
             wanted = Lacking.of(reference, {}, self.asked).close(self.attempts.values())

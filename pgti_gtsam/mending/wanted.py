@@ -36,7 +36,8 @@ SURER = 2.0
 """Ties of a round beyond `CLOSE`: up to this factor of the smallest allowance. Ties that come in make others surer."""
 
 TRIES = 3
-"""Pairs of a neighbourhood that are tried in vain: another pair of the same place may see more, but not all do."""
+"""Pairs of a neighbourhood that are tried in vain: another pair of the same place may see more. On the raw log `aces` a
+place stays untied where one pair is tried, and nine pairs tie no more than three."""
 
 BESIDE = 0.5
 """Side of a neighbourhood, as `neighbourhoods` has it."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from statistics import median
 from typing import Any
 
 Row = Mapping[str, Any]
@@ -16,7 +17,12 @@ def lines(found: Mapping[str, Sequence[Row]]) -> list[str]:
     if found.get("logs"):
         head = ["log", "loops", "seed", "given", "ties in", "false in", "false out", "true out", "collisions"]
         rows = [_log(row) for row in found["logs"]]
-        told += _table([*head, "ATE before, after, full (m)", "cells before, after, full, published"], rows)
+        told += _table([*head, "ATE before, after, exact, full (m)", "cells before, after, full, published"], rows)
+
+    # what other ties come to
+    if found.get("limits"):
+        head = ["log", "ties", "number", "ATE (m)", "cells"]
+        told += _table(head, [line for row in found["limits"] for line in _limits(row)])
 
     # ACES
     if found.get("aces"):
@@ -65,9 +71,23 @@ def _log(row: Row) -> list[str]:
         f"{row['false_out']} of {row['n_false']}",
         str(row["true_out"]),
         f"{collisions['before']} → {collisions['after']} ({collisions['full']})",
-        f"{ate['before']:.3f}, {ate['after']:.3f}, {ate['full']:.3f}",
+        ", ".join(f"{ate[name]:.3f}" for name in ("before", "after", "exact", "full")),
         ", ".join(str(cells[name]) for name in ("before", "after", "full", "published")),
     ]
+
+
+def _limits(row: Row) -> list[list[str]]:
+    number, halves = row["n_loops"], row["halves"]
+    maps = [
+        ("the published loops", number, row["full"]),
+        ("their pairs, with the published poses", number, row["exact"]),
+        ("their pairs as matched here", row["n_matched"], row["matched"]),
+    ]
+    told = [[row["log"], name, str(n), f"{each['ate_m']:.3f}", str(each["cells"])] for name, n, each in maps]
+    middle = {key: median(each[key] for each in halves) for key in ("ate_m", "cells")}
+    half = ["half of the loops, median", str(number // 2), f"{middle['ate_m']:.3f}", f"{middle['cells']:.0f}"]
+    apart = ["one half against the other, median", str(number // 2), f"{median(row['halves_apart_m']):.3f}", ""]
+    return [*told, [row["log"], *half], [row["log"], *apart]]
 
 
 def _world(row: Row) -> list[str]:
