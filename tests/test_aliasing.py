@@ -328,6 +328,35 @@ def test_a_graph_that_no_trajectory_explains_has_no_truth():
         field.true_poses(odometry, closures, values, values)
 
 
+def ring(n, *wrong):
+    """Poses on a ring in space, each a step from the next and the last tied to the first; vertices turned at random."""
+    noise, prior = (gtsam.noiseModel.Isotropic.Sigma(6, s) for s in (0.05, 1e-3))
+    random, step, values = (
+        np.random.default_rng(0),
+        gtsam.Pose3(gtsam.Rot3.Yaw(2 * np.pi / n), [1, 0, 0]),
+        gtsam.Values(),
+    )
+    truth = list(accumulate([step] * (n - 1), gtsam.Pose3.compose, initial=gtsam.Pose3()))
+    odometry = [gtsam.PriorFactorPose3(0, gtsam.Pose3(), prior)]
+    odometry += [gtsam.BetweenFactorPose3(k, k + 1, step, noise) for k in range(n - 1)]
+    for k, pose in enumerate(truth):
+        values.insert(k, gtsam.Pose3(gtsam.Rot3.Expmap(random.normal(size=3, scale=2.0)), pose.translation()))
+    closures = [gtsam.BetweenFactorPose3(0, n - 1, pose, noise) for pose in (truth[-1], *wrong)]
+    return graph_of(odometry), closures, values
+
+
+def test_a_graph_in_space_whose_vertices_lead_astray_has_the_optimum_of_its_chordal_start():
+    odometry, closures, values = ring(12)
+    whole = graph_of([*(odometry.at(k) for k in range(odometry.size())), *closures])
+    assert whole.error(gtsam.LevenbergMarquardtOptimizer(whole, values).optimize()) > 100
+    assert whole.error(field.true_poses(odometry, closures, values, values)) < 1e-6
+
+
+def test_a_graph_in_space_that_no_trajectory_explains_has_no_truth():
+    with pytest.raises(InvalidOptionError, match="all closures"):
+        field.true_poses(*ring(12, gtsam.Pose3(gtsam.Rot3(), [30, 0, 0])), gtsam.Values())
+
+
 @pytest.mark.parametrize("method", ["IPC", "ROVER"])
 def test_what_bends_the_square_is_refused_and_what_closes_it_is_not(method):
     odometry, closures, values = square((0, 1, -np.pi / 2), (30, 30, 0), (0.01, 1, -np.pi / 2))
