@@ -138,6 +138,17 @@ def test_where_many_are_open_few_are_weighed_at_a_time_with_the_same_verdicts(mo
     assert 0 < len(whole.accepted) < len(closures)
 
 
+def test_what_a_revisit_turns_waits_for_the_next_optimum_and_the_rest_does_not(monkeypatch):
+    """Two blocks far apart, each driven twice and off by 0.3 rad a lap: two revisits of the one, one of the other."""
+    world = driven([*block(60, times=2), *straight(400), *block(60), *straight(20)], bias=0.0025)
+    other = 2 * LAP + 200
+    near, apart = [world.closure(k, k + LAP) for k in (4, 60)], world.closure(other + 4, other + 4 + LAP)
+    rounds, take = [], admission.Admission._take
+    monkeypatch.setattr(admission.Admission, "_take", lambda self, chosen: rounds.append(chosen) or take(self, chosen))
+    assert GATE.evaluate_group(world.graph, world.values, [*near, apart], RADIUS).accepted == (0, 1, 2)
+    assert [len(chosen) for chosen in rounds if chosen] == [2, 1]
+
+
 def test_a_closure_that_repairs_a_collision_in_a_whole_graph():
     """The way back lies on the way out until the closure comes: it is accepted, in time order as well."""
     world = driven(straight(60) + turn(np.pi / 2) + straight(8) + turn(np.pi / 2) + straight(60), bias=0.005)

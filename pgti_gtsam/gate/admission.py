@@ -213,9 +213,10 @@ class Admission:
             self._weigh(each, some, self.settled.residuals[some], self._poorer * spread)
 
     def _one_by_one(self, passing: list[Weight]) -> list[Weight]:
-        """The revisits that pass given the earlier, the surest first, as far as linear predictions hold.
+        """The revisits that pass given the earlier, the surest first, where linear predictions hold.
 
-        Conditioning on a revisit takes W Wᵀ off the covariance of all; the blocks are formed on demand.
+        Conditioning on a revisit takes W Wᵀ off the covariance of all; the blocks are formed on demand. A revisit whose
+        prediction one of the earlier turns too far waits for the next optimum.
         """
         members, d = [some_of(each.ties) for each in passing], len(self.model.spread)
         pairs = np.concatenate([self.model.ties.pairs[own] for own in members])
@@ -224,9 +225,12 @@ class Admission:
         tolerance = self.model.variances(OFFSET, OFFSET_RAD)
         known, ends = np.empty((len(missed), 0)), d * np.cumsum([0, *map(len, members)])
         taken: list[Weight] = []
+        moved = np.empty((0, len(missed)))
         for each, own, span in zip(passing, members, map(slice, ends[:-1].tolist(), ends[1:].tolist()), strict=True):
             block = spread[span, span] - known[span] @ known[span].T
             if taken:
+                if self.model.bends(moved[:, span].reshape(-1, d)):
+                    continue
                 self._weigh(each, own, missed[span].reshape(-1, d), block)
             if each.drift <= self.needed:
                 continue
@@ -235,10 +239,8 @@ class Admission:
             # what it says of all the others
             root = np.linalg.cholesky(block + np.diag(np.tile(tolerance, len(own))))
             columns = np.linalg.solve(root, spread[span] - known[span] @ known.T).T
-            moved = columns @ np.linalg.solve(root, missed[span])
-            known, missed = np.hstack([known, columns]), missed - moved
-            if self.model.bends(moved.reshape(-1, d)):
-                break
+            moved = np.vstack([moved, columns @ np.linalg.solve(root, missed[span])])
+            known, missed = np.hstack([known, columns]), missed - moved[-1]
         return taken
 
     def _weigh(self, each: Weight, own: Ties, missed: Array, spread: Array) -> None:
