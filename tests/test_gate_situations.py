@@ -123,6 +123,25 @@ def test_a_revisit_that_the_free_space_refused_is_asked_again_when_another_is_ti
     assert GATE.evaluate_group(world.graph, world.values, closures, RADIUS).accepted == accepted
 
 
+@pytest.mark.parametrize("at_fault", range(0, 16, 5))
+def test_one_at_fault_of_many_in_doubt_is_found_by_halves(monkeypatch, at_fault):
+    """The free space speaks against one of sixteen revisits."""
+    world, asked = driven(block(60, times=3), noise=0.003), []
+    ends = [(k, k + lap) for k in range(0, LAP, 16) for lap in (LAP, 2 * LAP)]
+    code = codes_of(np.array([ends[at_fault]]), len(world.truth))[0]
+
+    def rise(before, after):
+        asked.append(after)
+        return Change(before=0.0, after=5.0 if code in after.connected else 0.0), None
+
+    monkeypatch.setattr(admission, "DOUBT", np.inf)
+    monkeypatch.setattr(admission, "MOST_ROUNDS", 0)
+    monkeypatch.setattr(admission, "local_rise", rise)
+    judged_ = GATE.evaluate_group(world.graph, world.values, [world.closure(*each) for each in ends], RADIUS)
+    assert judged_.accepted == tuple(k for k in range(16) if k != at_fault)
+    assert len(asked) == 2 + 2 * 4  # with what is sure, all in doubt, and two at each of four levels
+
+
 @pytest.mark.parametrize("many", [1, 3])
 def test_where_many_are_open_few_are_weighed_at_a_time_with_the_same_verdicts(monkeypatch, many):
     """True and false closures, revisits far enough apart to be judged one by one."""

@@ -255,10 +255,9 @@ class Admission:
             tried = self._ask_free_space(doubtful, chosen)
             failing = [each for each in doubtful if each.log_odds <= self.needed]
 
-            # one of several may be at fault: each by itself
+            # one of several may be at fault
             if failing and len(chosen) > 1:
-                for each in doubtful:
-                    self._ask_free_space([each], [each])
+                self._ask_by_halves(doubtful)
                 failing = [each for each in doubtful if each.log_odds <= self.needed]
             for each in failing:
                 each.refused_with = int(self.active.sum())
@@ -276,6 +275,14 @@ class Admission:
         for each in doubtful:
             each.rise, each.worst = rise
         return tried
+
+    def _ask_by_halves(self, doubtful: Sequence[Weight]) -> None:
+        """Note the evidence of the free space on revisits: together, and by halves where one may be at fault."""
+        self._ask_free_space(doubtful, doubtful)
+        if len(doubtful) > 1 and any(each.log_odds <= self.needed for each in doubtful):
+            middle = len(doubtful) // 2
+            self._ask_by_halves(doubtful[:middle])
+            self._ask_by_halves(doubtful[middle:])
 
     def _contacts_at(self, settled: Settled) -> Contacts:
         if self._contacts is None or self._contacts[0] is not settled:
