@@ -63,6 +63,7 @@ def test_a_second_pass_without_a_tie_is_a_missed_closure_with_a_proposal_that_ho
     world, _ = two_laps()
     found = diagnosed(*tied(world, []))
     assert found.verdict == "incomplete"
+    assert "one place that the track passes again is not tied." in found.reason
     assert kinds(found) == ["missed closure"]
     place = found.places[0]
     i, j = place.proposal.keyframes
@@ -94,6 +95,7 @@ def test_a_false_closure_is_named_and_places_that_it_folds_are_laid_to_its_charg
     graph, values = tied(world, [*all_ties(world, lap), false])
     found = diagnosed(graph, values)
     assert found.verdict == "inconsistent"
+    assert found.reason == "One closure contradicts all others."
     assert found.closures[0].slot == world.graph.size() + n_true
     assert [closure.is_false for closure in found.closures[:2]] == [True, False]
     assert set(kinds(found)) <= {"likely false closure"}

@@ -46,6 +46,13 @@ def test_tilt_that_drifts_as_heading_does_is_not_held():
     assert body_of(steps(400, 0.0, 0.03, gtsam.Rot3())).tilt > 0.3
 
 
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("mount", [gtsam.Rot3(), LOOKING_DOWN, gtsam.Rot3.Roll(np.pi)], ids=["upright", "down", "over"])
+def test_a_body_is_turned_as_little_as_its_vertical_asks(mount, seed):
+    turned = body_of(steps(400, 0.01, 1e-4, mount, seed)).levelling
+    assert np.linalg.norm(gtsam.Rot3.Logmap(turned)) < np.radians(35)
+
+
 def test_a_body_that_is_not_held_at_all_keeps_its_own_axes():
     body = body_of(steps(400, 0.0, 0.1, OPTICAL))
     assert body.tilt == 1.0
