@@ -48,7 +48,7 @@ OF_MODULES = {
     "spectral/elimination_tree": "selected_inverse block_inverse pole_kernel",
     "spectral/heat_kernel": "heat_kernel integrity",
     "spectral/laplacian": "heat_kernel low_rank spectrum",
-    "spectral/locality": "low_rank",
+    "spectral/locality": "low_rank fleet_parts",
     "spectral/low_rank": "low_rank candidate_map",
     "spectral/one_edge": "new_ties",
     "spectral/pole_kernel": "pole_kernel",

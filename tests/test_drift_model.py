@@ -88,6 +88,10 @@ def test_parts_that_no_tie_joins_may_lie_anywhere():
     allowances = settled.model.allowances_m(settled.covariances(np.array([[0, 20], [0, 5]])))
     assert allowances[0] == np.inf
     assert 0 < allowances[1] < np.inf
+    [joint] = settled.joint_covariances([np.array([[0, 20], [0, 5]])])
+    assert np.isnan(joint[:3]).all()
+    assert np.isnan(joint[:, :3]).all()
+    np.testing.assert_allclose(joint[3:, 3:], settled.covariances(np.array([[0, 5]]))[0], rtol=1e-6, atol=1e-12)
 
 
 def false_closure(world, i, j):
