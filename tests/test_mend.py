@@ -13,14 +13,12 @@ from optional import needs_open3d
 import pgti_gtsam as pgti
 from pgti_gtsam import datasets
 from pgti_gtsam.errors import FileFormatError
-from pgti_gtsam.estimate import optimised
 from pgti_gtsam.mending import alignment as aligning
 from pgti_gtsam.mending.common_view import View, common_view
-from pgti_gtsam.mending.records import Attempt, Wanted
+from pgti_gtsam.mending.records import Wanted
 from pgti_gtsam.mending.starts import starts
 from pgti_gtsam.mending.submap import Submap
 from pgti_gtsam.mending.verdicts import free_allowance_m, sensors_say, tie
-from pgti_gtsam.mending.wanted import CLOSE, LOOSE, TRIES, Lacking, asked_for
 from pgti_gtsam.report.mended import mended_document, write_mended_page
 
 pytest.importorskip("small_gicp", reason='pip install "pgti-gtsam[match]"')
@@ -171,43 +169,6 @@ def wanted(pose, sigmas):
         covariance=np.diag(np.square(sigmas)),
         allowance_m=max(sigmas[:2]),
     )
-
-
-def in_vain(tie_wanted):
-    """An attempt that the sensors left open."""
-    nothing = dict.fromkeys(("pose", "factor", "alignment", "submaps", "decision"))
-    return Attempt(wanted=tie_wanted, keys=tie_wanted.keys, outcome="undecided", reason="Fog.", round=1, **nothing)
-
-
-def test_a_place_is_left_after_some_pairs_in_vain_until_the_drift_allows_half(ring):
-    truth, _, steps = ring
-    graph, values = as_graph(steps, truth[0])
-    asked = asked_for(pgti.diagnose(graph, values, radii=UNIT))
-    lacking = Lacking.of(pgti.LoopClosureGate().reference_map(graph, values, UNIT), asked, ())
-    first, *_ = lacking.surest(())
-    assert first.keyframes in asked
-
-    # pairs beside, in as large a region and in a much larger one
-    i, j = first.keyframes
-    beside = [replace(first, keyframes=(i + k, j), keys=(i + k, j)) for k in range(1, TRIES + 1)]
-    assert first.keyframes in {each.keyframes for each in lacking.surest([in_vain(each) for each in beside[1:]])}
-    assert first.keyframes not in {each.keyframes for each in lacking.surest([in_vain(each) for each in beside])}
-    wide = [in_vain(replace(each, allowance_m=3 * each.allowance_m)) for each in [first, *beside]]
-    assert first.keyframes in {each.keyframes for each in lacking.surest(wide)}
-
-
-def test_loose_places_that_need_no_search_are_tied_without_an_audit(ring):
-    truth, _, steps = ring
-    graph, values = as_graph(steps, truth[0])
-    before = asked_for(pgti.diagnose(graph, values, radii=UNIT))
-    for k in (3, 20, 40):
-        true, model = truth[k].between(truth[k + N_LAP]), gtsam.noiseModel.Isotropic.Sigma(3, 0.05)
-        graph.add(gtsam.BetweenFactorPose2(k, k + N_LAP, true, model))
-    reference = pgti.LoopClosureGate().reference_map(graph, optimised(graph, values), UNIT)
-    lacking = Lacking.of(reference, {}, before)
-    allowed = [each.allowance_m for each in lacking.close(())]
-    assert (min(allowed) > LOOSE * UNIT, max(allowed) <= CLOSE * UNIT) == (True, True)
-    assert lacking.allowances.max() > 2 * CLOSE
 
 
 def aligned(walls, first, second, predicted, sigmas):

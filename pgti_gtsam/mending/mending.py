@@ -4,8 +4,7 @@
 2. The audit names the untied places, and the drift model says how large the drift may be there.
 3. Each place is matched by the scans of its keyframes, within that region.
 4. Confirmed ties go through the gate like any other closure; ties that pass are in, and the map is optimised.
-5. The better map predicts better: 3 and 4 again where the new ties hold loosely, then 2 to 4, until nothing is left to
-   try.
+5. The better map predicts better: 2 to 4 again, until nothing is left to try.
 """
 
 from __future__ import annotations
@@ -31,9 +30,12 @@ from pgti_gtsam.mending.clouds import Clouds, scans_of
 from pgti_gtsam.mending.records import Attempt, Mended, Wanted
 from pgti_gtsam.mending.submap import Submaps
 from pgti_gtsam.mending.verdicts import sensors_say, sigma_unit, tie
-from pgti_gtsam.mending.wanted import Lacking, asked_for
+from pgti_gtsam.mending.wanted import asked_for, wanted_ties
 from pgti_gtsam.pose_graph import Radii, key_label
 from pgti_gtsam.track import track_of
+
+MOST_ROUNDS = 40
+"""Times that the map is audited anew, and other pairs of its untied places are tried."""
 
 MOST_CHECKS = 3
 """Times that ties which all others put elsewhere are taken out again."""
@@ -41,6 +43,9 @@ MOST_CHECKS = 3
 MISSES = 3.0
 """Standard deviations, of what the others predict and of a match together, beyond which a tie is out again. The gate
 alone lets ties in that miss by more, as a map's maker may have reasons; a tie that nobody asked for has none."""
+
+SMALLER = 0.5
+"""Part of its former allowance to which a prediction must have come down before a pair is tried again."""
 
 Tell = Callable[[str], None]
 
@@ -128,24 +133,28 @@ class _Mending:
     round: int = 0
 
     def tie_places(self) -> None:
-        """Rounds of matching and gate, until nothing is left to try: loose places, then what a new audit asks for."""
-        while True:
-            reference = self._reference()
-            wanted = Lacking.of(reference, {}, self.asked).close(self.attempts.values())
-            if not wanted:
-                self.progress(f"round {self.round + 1}: auditing")
-                asked = asked_for(self._diagnosis())
-                wanted = Lacking.of(reference, asked, self.asked).surest(self.attempts.values())
-                self.asked |= asked.keys()
-            if not wanted:
-                break
+        """Rounds of audit, matching and gate, until nothing is left to try."""
+        while self.round < MOST_ROUNDS:
             self.round += 1
+            self.progress(f"round {self.round}: auditing")
+            diagnosis, reference = self._diagnosis(), self._reference()
+            wanted = wanted_ties(diagnosis, reference, self.asked, self._is_known)
+            self.asked |= asked_for(diagnosis).keys()
             submaps, unit = self._submaps(reference), sigma_unit(self.graph, reference)
             found = [
                 self._matched(each, submaps, unit, f"round {self.round}: matching {k} of {len(wanted)}")
                 for k, each in enumerate(wanted, start=1)
             ]
+            if not found:
+                break
             self.offer(found, reference)
+
+    def _is_known(self, keys: tuple[int, int], allowance_m: float) -> bool:
+        """Whether a pair is tied, or was tried within a region that was about as small."""
+        known = self.attempts.get(keys)
+        if known is None:
+            return False
+        return known.outcome == "confirmed" or known.wanted is None or allowance_m > SMALLER * known.wanted.allowance_m
 
     def _matched(self, wanted: Wanted, submaps: Submaps, sigmas: float, said: str) -> Attempt:
         """A tie tried by the scans of its keyframes."""

@@ -17,7 +17,7 @@ def lines(found: Mapping[str, Sequence[Row]]) -> list[str]:
     if found.get("logs"):
         head = ["log", "loops", "seed", "given", "ties in", "false in", "false out", "true out", "collisions"]
         rows = [_log(row) for row in found["logs"]]
-        told += _table([*head, "ATE before, after, exact, full (m)", "cells before, after, full, published"], rows)
+        told += _table([*head, "ATE before, after, full (m)", "cells before, after, full, published"], rows)
 
     # what other ties come to
     if found.get("limits"):
@@ -71,7 +71,7 @@ def _log(row: Row) -> list[str]:
         f"{row['false_out']} of {row['n_false']}",
         str(row["true_out"]),
         f"{collisions['before']} → {collisions['after']} ({collisions['full']})",
-        ", ".join(f"{ate[name]:.3f}" for name in ("before", "after", "exact", "full")),
+        ", ".join(f"{ate[name]:.3f}" for name in ("before", "after", "full")),
         ", ".join(str(cells[name]) for name in ("before", "after", "full", "published")),
     ]
 
