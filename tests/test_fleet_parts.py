@@ -84,7 +84,7 @@ def test_parts_are_as_many_as_can_be(n_parts):
 def told(found):
     """Of two diagnoses of a map the same; without incomplete fusion, which ζ decides."""
     places = [
-        (place.kind, place.keyframes, place.edges.tolist(), place.revisit.closest, place.probability, place.gain)
+        (place.kind, place.keyframes, place.edges.tolist(), place.revisit.closest, place.probability, round(place.gain, 9))
         for place in found.places
         if place.kind != "incomplete fusion"
     ]

@@ -6,8 +6,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
-from scipy.sparse.linalg import splu
 from scipy.spatial import KDTree
 
 from pgti_gtsam.diagnosis import words
@@ -18,6 +16,7 @@ from pgti_gtsam.diagnosis.views import without_common_view
 from pgti_gtsam.gate.drift_model import DriftModel
 from pgti_gtsam.gate.own_closures import OwnClosures
 from pgti_gtsam.gate.settled import Settled
+from pgti_gtsam.pair_codes import codes_of, pairs_of
 from pgti_gtsam.places import (
     WINDOW,
     Compared,
@@ -30,7 +29,9 @@ from pgti_gtsam.places import (
     revisits,
 )
 from pgti_gtsam.pose_graph import PoseGraph
-from pgti_gtsam.spectral.laplacian import connected_components, laplacian
+from pgti_gtsam.spectral.block_inverse import factorise, own_products
+from pgti_gtsam.spectral.elimination_tree import analyse
+from pgti_gtsam.spectral.laplacian import connected_components
 from pgti_gtsam.track import Track, track_of
 
 DECIDED = 0.75
@@ -364,18 +365,20 @@ def _tied_near_by(
 
 
 def _gains(n: int, edges: Pairs, pairs: list[tuple[int, int]]) -> list[float]:
-    """ln(1 + R) of some pairs, R the effective resistance between the two keyframes; infinite between parts."""
+    """ln(1 + R) of some pairs, R the effective resistance between the two keyframes; infinite between parts.
+
+    One keyframe of each part is tied to the ground. A pair costs its way to the root of the elimination, not the map.
+    """
     if not pairs:
         return []
+    edges = pairs_of(np.unique(codes_of(edges, n)), n)
     _, part = connected_components(n, edges)
-    ground = np.zeros(n)
-    ground[np.unique(part, return_index=True)[1]] = 1.0
-    matrix = sparse.csc_array(laplacian(n, edges) + sparse.diags_array(ground))
-    factor = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
-    found = []
-    for i, j in pairs:
-        current = np.zeros(n)
-        current[[i, j]] = 1.0, -1.0
-        potential = factor.solve(current)
-        found.append(float(np.log1p(potential[i] - potential[j])) if part[i] == part[j] else np.inf)
-    return found
+    diagonal = np.bincount(edges.ravel(), minlength=n).astype(float)
+    diagonal[np.unique(part, return_index=True)[1]] += 1.0
+    factor = factorise(analyse(n, edges), diagonal[:, None, None], edges, np.full((len(edges), 1, 1), -1.0))
+
+    # from one end of each pair to the other
+    ends = np.array(pairs)
+    along = np.broadcast_to(np.array([1.0, -1.0])[:, None, None], (len(pairs), 2, 1, 1))
+    gains = np.log1p(own_products(factor, ends, along)[:, 0, 0])
+    return [float(gain) if part[i] == part[j] else np.inf for gain, (i, j) in zip(gains, pairs, strict=True)]
