@@ -320,12 +320,7 @@ def closures_without_end(
     out: Annotated[Path, typer.Option(help="Where the JSON and the figure go.")] = RESULTS / "load.json",
 ) -> None:
     """Time, memory and open files of a gate that is offered closure upon closure. Hours; a thousand: a minute."""
-    rows = []
-    for row in load.run(closures, seed=0):
-        rows.append(row)
-        outputs.write_text(out, json_text.dumps(rows, indent=1) + "\n")
-        print(load.line(row), flush=True)
-    load.draw(rows, out.with_suffix(".png"))
+    load.draw(load.run(closures, seed=0, path=out, tell=print), out.with_suffix(".png"))
     print(f"results: {out}")
 
 

@@ -35,23 +35,31 @@ Row = dict[str, Any]
 Step = tuple[gtsam.NonlinearFactorGraph, gtsam.Values, list[Any]]
 
 
-def run(n_closures: int, seed: int) -> Iterator[Row]:
-    """A row for each taker and point, as it comes.
+def run(n_closures: int, seed: int, path: Path, tell: Callable[[str], None]) -> list[Row]:
+    """A row for each taker and point, written as they come.
 
     Parameters
     ----------
     n_closures : int
     seed : int
         Of the drive.
+    path : Path
+        Of the JSON.
+    tell : callable
+        Told each row in words.
     """
+    rows: list[Row] = []
     for taker in (_alone, _gated, _streamed):
         ours, theirs = multiprocessing.Pipe(duplex=False)
         process = multiprocessing.get_context("spawn").Process(target=taker, args=(n_closures, seed, theirs))
         process.start()
         theirs.close()
         while (row := _received(ours)) is not None:
-            yield row
+            rows.append(row)
+            outputs.write_text(path, json.dumps(rows, indent=1) + "\n")
+            tell(line(row))
         process.join()
+    return rows
 
 
 def line(row: Row) -> str:
