@@ -84,9 +84,9 @@ def test_parts_are_as_many_as_can_be(n_parts):
 def told(found):
     """Of two diagnoses of a map the same; without incomplete fusion, which ζ decides."""
     places = [
-        (place.kind, place.keyframes, place.edges.tolist(), place.revisit.closest, place.probability, round(place.gain, 9))
-        for place in found.places
-        if place.kind != "incomplete fusion"
+        (each.kind, each.keyframes, each.edges.tolist(), each.revisit.closest, each.probability, round(each.gain, 9))
+        for each in found.places
+        if each.kind != "incomplete fusion"
     ]
     return found.verdict, found.reason, places, [(each.slot, each.log_odds) for each in found.closures]
 
