@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import gtsam
 
@@ -18,7 +17,7 @@ from pgti_gtsam.gate.gated import GatedSmoother
 from pgti_gtsam.gate.history import GatedUpdate, Offer, Step
 from pgti_gtsam.gate.kept_map import News, WholeMap, check_news
 from pgti_gtsam.gate.remembered import Remembered
-from pgti_gtsam.gate.saved import State, decoded, encoded, read_state
+from pgti_gtsam.gate.saved import State, decoded, encoded
 from pgti_gtsam.pose_graph import key_label
 
 KINDS = (gtsam.IncrementalFixedLagSmoother, gtsam.BatchFixedLagSmoother)
@@ -112,9 +111,7 @@ class GatedFixedLagSmoother(GatedSmoother):
         return encoded(self._parts, self._remembered.state())
 
     @classmethod
-    def resumed(
-        cls, state: State, parameters: Any | None = None, gate: LoopClosureGate | None = None
-    ) -> GatedFixedLagSmoother:
+    def resumed(cls, state: State, parameters: Any | None = None, gate: LoopClosureGate | None = None) -> Self:
         """A gated smoother that continues from `state`.
 
         Parameters
@@ -135,20 +132,6 @@ class GatedFixedLagSmoother(GatedSmoother):
         found = cls(remembered.smoother, gate, parts.radii)
         found._remembered, found._offers, found._kept = remembered, parts.offers, parts.kept
         return found
-
-    @classmethod
-    def load(
-        cls, path: Path | str, parameters: Any | None = None, gate: LoopClosureGate | None = None
-    ) -> GatedFixedLagSmoother:
-        """Read the file of `save`; see `resumed`.
-
-        Parameters
-        ----------
-        path : Path or str
-        parameters, gate
-            As for `resumed`.
-        """
-        return cls.resumed(read_state(Path(path)), parameters, gate)
 
     @property
     def absorbed(self) -> tuple[int, ...]:

@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import gtsam
 
@@ -23,7 +23,7 @@ from pgti_gtsam.gate.grown_map import GrownMap
 from pgti_gtsam.gate.history import GatedUpdate, Offer, Review, Step
 from pgti_gtsam.gate.kept_map import KeptMap, News, WholeMap, check_news
 from pgti_gtsam.gate.revisits import revisits
-from pgti_gtsam.gate.saved import Parts, State
+from pgti_gtsam.gate.saved import Parts, State, read_state
 from pgti_gtsam.gate.ties import free_space_unit
 from pgti_gtsam.pose_graph import Radii
 from pgti_gtsam.track import track_of
@@ -85,6 +85,31 @@ class GatedSmoother(ABC):
             A factor that GTSAM has no archive of, a `gtsam.CustomFactor` say.
         """
         outputs.write_text(path, json.dumps(self.state()))
+
+    @classmethod
+    @abstractmethod
+    def resumed(cls, state: State, parameters: Any | None = None, gate: LoopClosureGate | None = None) -> Self:
+        """A gated smoother that continues from `state`.
+
+        Parameters
+        ----------
+        state : dict
+        parameters : optional
+            Of the smoother, as at the first start: parameters are not part of the state.
+        gate : LoopClosureGate, optional
+        """
+
+    @classmethod
+    def load(cls, path: Path | str, parameters: Any | None = None, gate: LoopClosureGate | None = None) -> Self:
+        """Read the file of `save`; see `resumed`.
+
+        Parameters
+        ----------
+        path : Path or str
+        parameters, gate
+            As for `resumed`.
+        """
+        return cls.resumed(read_state(Path(path)), parameters, gate)
 
     @property
     def _parts(self) -> Parts:

@@ -14,7 +14,7 @@ from pgti_gtsam.gate.decision import ClosureDecision
 
 @dataclass(slots=True, kw_only=True, eq=False)
 class GatedUpdate:
-    """The result of an update.
+    """The result of an update. Not frozen: a frozen record costs an update without closures 0.4 µs more.
 
     Attributes
     ----------

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import islice
-from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import gtsam
 
@@ -17,7 +16,7 @@ from pgti_gtsam.gate.gate import LoopClosureGate
 from pgti_gtsam.gate.gated import GatedSmoother
 from pgti_gtsam.gate.history import GatedUpdate, Step, made_anew, smoother_of
 from pgti_gtsam.gate.kept_map import WholeMap
-from pgti_gtsam.gate.saved import State, decoded, encoded, read_state, values_from
+from pgti_gtsam.gate.saved import State, decoded, encoded, values_from
 
 KIND = "ISAM2"
 
@@ -66,7 +65,7 @@ class GatedISAM2(GatedSmoother):
     @classmethod
     def resumed(
         cls, state: State, parameters: gtsam.ISAM2Params | None = None, gate: LoopClosureGate | None = None
-    ) -> GatedISAM2:
+    ) -> Self:
         """A gated smoother that continues from `state`.
 
         Parameters
@@ -87,23 +86,6 @@ class GatedISAM2(GatedSmoother):
         found = cls(smoother_of(slots, values_from(state["smoother"]["values"]), parameters), gate, parts.radii)
         found._offers, found._kept = parts.offers, parts.kept
         return found
-
-    @classmethod
-    def load(
-        cls,
-        path: Path | str,
-        parameters: gtsam.ISAM2Params | None = None,
-        gate: LoopClosureGate | None = None,
-    ) -> GatedISAM2:
-        """Read the file of `save`; see `resumed`.
-
-        Parameters
-        ----------
-        path : Path or str
-        parameters, gate
-            As for `resumed`.
-        """
-        return cls.resumed(read_state(Path(path)), parameters, gate)
 
     def update(
         self,
