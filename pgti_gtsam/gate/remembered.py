@@ -9,8 +9,8 @@ from typing import Any
 
 import gtsam
 
-from pgti_gtsam.factor_graphs import factors_of, graph_of, keys_of, slots_of, without
-from pgti_gtsam.gate.saved import State, archive_of, graph_from, values_from
+from pgti_gtsam.factor_graphs import factors_of, keys_of, slots_of, without
+from pgti_gtsam.gate.saved import State, graph_from, placed, placed_in, values_from
 
 
 @dataclass(slots=True, eq=False)
@@ -45,19 +45,12 @@ class Remembered:
 
     def state(self) -> State:
         """The smoother and what is remembered beyond the graph; raises as `saved.archive_of` does."""
-        # the smoother's factors: slots of the map, or −1 − the slot among the factors that marginalisation made
-        slots = {id(factor): (slot, factor) for slot, factor in slots_of(self.graph)}
-        own, apart = list[int](), gtsam.NonlinearFactorGraph()
-        for factor in factors_of(self.smoother.getFactors()):
-            known = slots.get(id(factor))
-            if known is None:
-                apart.push_back(factor)
-            own.append(-apart.size() if known is None else known[0])
+        (own,), apart = placed([self.smoother.getFactors()], self.graph)  # marginalisation makes factors of its own
         return {
             "kind": type(self.smoother).__name__,
             "lag": self.smoother.smootherLag(),
             "factors": own,
-            "factors_apart": archive_of(apart),
+            "factors_apart": apart,
             "values": self.smoother.getLinearizationPoint().serialize(),
             "times": [[key, time] for key, time in self.times.items()],
             "behind": self.behind.serialize(),
@@ -77,9 +70,8 @@ class Remembered:
             Of the smoother.
         """
         smoother = getattr(gtsam, state["kind"])(state["lag"], *([] if parameters is None else [parameters]))
-        apart = graph_from(state["factors_apart"])
-        factors = [graph.at(slot) if slot >= 0 else apart.at(-1 - slot) for slot in state["factors"]]
-        smoother.update(graph_of(factors), values_from(state["values"]), dict(state["times"]))
+        factors = placed_in(state["factors"], graph, graph_from(state["factors_apart"]))
+        smoother.update(factors, values_from(state["values"]), dict(state["times"]))
         found = cls(smoother)
         found.graph, found.behind, found.beyond = graph, values_from(state["behind"]), set(state["beyond"])
         return found

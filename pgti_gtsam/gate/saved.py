@@ -18,7 +18,7 @@ import gtsam
 import numpy as np
 
 from pgti_gtsam.errors import FileFormatError, InvalidGraphError
-from pgti_gtsam.factor_graphs import factors_of, graph_of
+from pgti_gtsam.factor_graphs import factors_of, graph_of, slots_of
 from pgti_gtsam.gate.gate import LoopClosureGate
 from pgti_gtsam.gate.grown_map import GrownMap, Tail
 from pgti_gtsam.gate.history import Offer
@@ -56,10 +56,10 @@ def encoded(parts: Parts, smoother: State) -> State:
         A factor that GTSAM has no archive of, a `gtsam.CustomFactor` say.
     """
     graph, radii = parts.graph, parts.radii
-    apart = gtsam.NonlinearFactorGraph()
+    places, apart = placed([offer.closure for offer in parts.offers], graph)
     offers = [
-        {"factors": _placed(offer, graph, apart), "slots": list(offer.slots), "is_waiting": offer.is_waiting}
-        for offer in parts.offers
+        {"factors": own, "slots": list(offer.slots), "is_waiting": offer.is_waiting}
+        for own, offer in zip(places, parts.offers, strict=True)
     ]
 
     # all of it; a map that the caller changed is not kept
@@ -72,7 +72,7 @@ def encoded(parts: Parts, smoother: State) -> State:
         "factors": archive_of(graph),
         "radii": [[int(key), float(radius)] for key, radius in radii.items()] if isinstance(radii, Mapping) else radii,
         "closures": offers,
-        "closures_apart": archive_of(apart),
+        "closures_apart": apart,
         "kept": {
             "map": _encoded_map(kept.map) if kept.map is not None and stands else None,
             "news": [[archive_of(factors), values.serialize()] for factors, values in kept.news],
@@ -107,13 +107,8 @@ def decoded(state: State, kinds: Collection[str], gate: LoopClosureGate, *, reus
 
     # the factors of the map, and the closures' factors, which are factors of the map
     graph, apart = graph_from(state["factors"]), graph_from(state["closures_apart"])
-    slots = [graph.at(slot) for slot in range(graph.size())]
     offers = [
-        Offer(
-            graph_of([slots[k] if k >= 0 else apart.at(-1 - k) for k in offer["factors"]]),
-            tuple(offer["slots"]),
-            offer["is_waiting"],
-        )
+        Offer(placed_in(offer["factors"], graph, apart), tuple(offer["slots"]), offer["is_waiting"])
         for offer in state["closures"]
     ]
 
@@ -149,15 +144,45 @@ def read_state(path: Path) -> State:
     return state
 
 
-def _placed(offer: Offer, graph: gtsam.NonlinearFactorGraph, apart: gtsam.NonlinearFactorGraph) -> list[int]:
-    """Place of each factor of a closure: the slot in the smoother, or −1 − the slot among the separate factors."""
-    standing, factors = set(offer.standing(graph)), factors_of(offer.closure)
-    found = [slot if slot in standing else -1 for slot in offer.slots] or [-1] * len(factors)
-    for k, factor in enumerate(factors):
-        if found[k] < 0:
-            found[k] = -1 - apart.size()
-            apart.push_back(factor)
-    return found
+def placed(
+    groups: Sequence[gtsam.NonlinearFactorGraph], graph: gtsam.NonlinearFactorGraph
+) -> tuple[list[list[int]], str]:
+    """Place of each factor of some groups: the slot in a graph, or −1 − the slot among the others; these as an archive.
+
+    Parameters
+    ----------
+    groups : sequence of gtsam.NonlinearFactorGraph
+    graph : gtsam.NonlinearFactorGraph
+
+    Raises
+    ------
+    InvalidGraphError
+        As of `archive_of`.
+    """
+    held, apart = slots_of(graph), gtsam.NonlinearFactorGraph()
+    slots, found = {id(factor): slot for slot, factor in held}, []
+    for group in groups:
+        own = []
+        for factor in factors_of(group):
+            if id(factor) not in slots:
+                apart.push_back(factor)
+            own.append(slots.get(id(factor), -apart.size()))
+        found.append(own)
+    return found, archive_of(apart)
+
+
+def placed_in(
+    places: Sequence[int], graph: gtsam.NonlinearFactorGraph, apart: gtsam.NonlinearFactorGraph
+) -> gtsam.NonlinearFactorGraph:
+    """The graph of the factors at some places, as `placed` names them.
+
+    Parameters
+    ----------
+    places : sequence of int
+    graph, apart : gtsam.NonlinearFactorGraph
+        Factors of the map, and the others.
+    """
+    return graph_of(graph.at(place) if place >= 0 else apart.at(-1 - place) for place in places)
 
 
 def _encoded_map(grown: GrownMap) -> State:
