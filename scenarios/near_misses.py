@@ -170,7 +170,7 @@ def disagreements(result: pgti.GatedGraph, radius_m: float) -> dict[int, float]:
     settled = gate.reference_map(result.graph, result.values, radius_m, result.accepted).settled
     closures = settled.model.ties.closures
     missed, others = left_out(settled, closures)
-    spread = others + np.diag(settled.model.variances(OFFSET, OFFSET_RAD))
+    spread = others + np.diag(settled.model.units.variances(OFFSET, OFFSET_RAD))
     apart = np.sqrt(np.einsum("ka,ka->k", missed, np.linalg.solve(spread, missed[:, :, None])[:, :, 0]))
     slots = settled.model.ties.slots[closures]
     return dict(zip(slots.tolist(), (apart / np.nanmedian(apart)).round(3).tolist(), strict=True))

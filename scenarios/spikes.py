@@ -132,7 +132,7 @@ def spikes(reference: ReferenceMap, closure: gtsam.NonlinearFactorGraph) -> dict
     drift = without.covariances(without.model.ties.pairs[ties])
     contact, _ = local_rise(maps.contacts(without), maps.contacts(tied))
     found = {
-        "allowed": without.model.allowances_m(drift)[0] / without.model.unit_m,
+        "allowed": without.model.units.allowances_m(drift)[0] / without.model.units.unit_m,
         "score": after.score - before.score,
         "global_score": after.split().global_ - before.split().global_,
         "mean_score": after.mean_score - before.mean_score,
@@ -190,7 +190,7 @@ def _map_until(
 
 def _drawn(reference: ReferenceMap) -> dict[int, Any]:
     """Where the drift model has the keyframes, in the caller's frame of body."""
-    turn = reference.settled.model.levelling.inverse()
+    turn = reference.settled.model.units.levelling.inverse()
     poses = (pose.compose(turn) for pose in reference.settled.poses)
     return dict(zip(reference.pose_graph.keys.tolist(), poses, strict=True))
 

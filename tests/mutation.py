@@ -80,7 +80,7 @@ KNOWN = [
     ("gate/ties", "variances_of(drift * unit, drift,", "variances_of(drift / unit, drift,"),
     ("gate/ties", MATCH, MATCH.replace("*", "/")),
     ("gate/candidates", "axis=2) / unit_m", "axis=2) * unit_m"),
-    ("gate/reference_map", "way_m / offered.model.unit_m", "way_m * offered.model.unit_m"),
+    ("gate/reference_map", "way_m / offered.model.units.unit_m", "way_m * offered.model.units.unit_m"),
     ("gate/gated", "way_m / free_space_unit(pose_graph)", "way_m * free_space_unit(pose_graph)"),
 ]
 """Changes that earlier tests did not notice: tolerances of odometry and closures exchanged, lengths times ρ."""

@@ -30,11 +30,11 @@ def test_a_straight_chain_drifts_as_white_steps_do():
     pairs = np.array([[0, k] for k in range(1, n + 1)])
     found = settle(model).covariances(pairs)
     k = np.arange(1, n + 1)
-    square = DRIFT**2 * step / model.unit_m
-    along = k * square * (1 + (STRETCH / DRIFT) ** 2) * model.unit_m**2
+    square = DRIFT**2 * step / model.units.unit_m
+    along = k * square * (1 + (STRETCH / DRIFT) ** 2) * model.units.unit_m**2
     np.testing.assert_allclose(found[:, 0, 0], along, rtol=1e-6)
     np.testing.assert_allclose(found[:, 2, 2], k * square, rtol=1e-6)  # heading
-    across = k * square * model.unit_m**2 + square * step**2 * (k - 1) * k * (2 * k - 1) / 6
+    across = k * square * model.units.unit_m**2 + square * step**2 * (k - 1) * k * (2 * k - 1) / 6
     np.testing.assert_allclose(found[:, 1, 1], across, rtol=1e-6)
 
 
@@ -45,13 +45,15 @@ def test_covariances_are_those_of_gtsams_bayes_tree(steps):
     model = model_of(world, [world.closure(*pair) for pair in ends])
     asked = np.array([[1, len(steps) - 5], [7, 9], [20, 5]])
     settled = settle(model)
-    d, graph, values = len(model.spread), gtsam.NonlinearFactorGraph(), gtsam.Values()
-    kinds = (gtsam.BetweenFactorPose2, gtsam.PriorFactorPose2) if model.is_planar else (
+    d, graph, values = len(model.units.spread), gtsam.NonlinearFactorGraph(), gtsam.Values()
+    kinds = (gtsam.BetweenFactorPose2, gtsam.PriorFactorPose2) if model.units.is_planar else (
         gtsam.BetweenFactorPose3, gtsam.PriorFactorPose3)  # fmt: skip
     for (i, j), variances in zip(model.ties.pairs.tolist(), model.ties.variances, strict=True):
         exact = settled.poses[i].between(settled.poses[j])  # without a residual GTSAM's Jacobians are ours
         graph.push_back(kinds[0](i, j, exact, gtsam.noiseModel.Diagonal.Variances(variances)))
-    graph.push_back(kinds[1](0, settled.poses[0], gtsam.noiseModel.Diagonal.Variances(model.variances(ANCHOR, ANCHOR))))
+    graph.push_back(
+        kinds[1](0, settled.poses[0], gtsam.noiseModel.Diagonal.Variances(model.units.variances(ANCHOR, ANCHOR)))
+    )
     for i, pose in enumerate(settled.poses):
         values.insert(i, pose)
     tree = graph.linearize(values).eliminateMultifrontal(gtsam.Ordering.OrderingType.COLAMD, gtsam.EliminateQR)
@@ -76,7 +78,7 @@ def test_what_a_tie_misses_is_what_the_map_without_it_predicts():
         expected = without.covariances(model.ties.pairs[k : k + 1])[0]
         scale = np.sqrt(np.outer(expected.diagonal(), expected.diagonal()))
         np.testing.assert_allclose(others / scale, expected / scale, atol=0.02)  # linearised elsewhere
-        np.testing.assert_allclose(missed, without.residuals[k], atol=0.02 * model.unit_m)
+        np.testing.assert_allclose(missed, without.residuals[k], atol=0.02 * model.units.unit_m)
 
 
 def test_parts_that_no_tie_joins_may_lie_anywhere():
@@ -85,7 +87,7 @@ def test_parts_that_no_tie_joins_may_lie_anywhere():
     graph.remove(10)
     pose_graph = pgti.from_gtsam(graph, world.values, radii=RADIUS)
     settled = settle(drift_model(graph, world.values, pose_graph))
-    allowances = settled.model.allowances_m(settled.covariances(np.array([[0, 20], [0, 5]])))
+    allowances = settled.model.units.allowances_m(settled.covariances(np.array([[0, 20], [0, 5]])))
     assert allowances[0] == np.inf
     assert 0 < allowances[1] < np.inf
     [joint] = settled.joint_covariances([np.array([[0, 20], [0, 5]])])

@@ -75,7 +75,7 @@ def test_a_grown_map_predicts_what_the_map_made_anew_does(world, first):
     for i, j in ((10, LAP + 10), (LAP + 60, 50), (3, LAP - 3), (LAP + 70, LAP + 75), (first, first + 1), (0, last)):
         missed, spread = grown.predicted(grown.offered(world.closure(i, j)))
         expected, covariance = predicted(whole, world.closure(i, j))
-        place = whole.settled.model.translation
+        place = whole.settled.model.units.translation
         for part_ in (np.arange(len(spread))[place], np.delete(np.arange(len(spread)), place)):
             own, other = (np.linalg.eigvalsh(found[np.ix_(part_, part_)]) for found in (spread, covariance))
             np.testing.assert_allclose(own, other, rtol=0.05)  # of both vertical axes' signs

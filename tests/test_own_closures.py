@@ -39,7 +39,7 @@ def settled_by_gtsam(model, start, active):
     """Poses at the optimum of some of the model's ties, by GTSAM to convergence."""
     between, prior = (
         (gtsam.BetweenFactorPose2, gtsam.PriorFactorPose2)
-        if model.is_planar
+        if model.units.is_planar
         else (gtsam.BetweenFactorPose3, gtsam.PriorFactorPose3)
     )
     graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
@@ -47,14 +47,14 @@ def settled_by_gtsam(model, start, active):
         i, j = model.ties.pairs[k].tolist()
         told = gtsam.noiseModel.Diagonal.Variances(model.ties.variances[k])
         graph.push_back(between(i, j, model.ties.measured[k], told))
-    graph.push_back(prior(0, start[0], gtsam.noiseModel.Isotropic.Sigma(len(model.spread), ANCHOR)))
+    graph.push_back(prior(0, start[0], gtsam.noiseModel.Isotropic.Sigma(len(model.units.spread), ANCHOR)))
     for i, pose in enumerate(start):
         values.insert(i, pose)
     parameters = gtsam.LevenbergMarquardtParams()
     parameters.setMaxIterations(200)
     parameters.setRelativeErrorTol(1e-12)
     found = gtsam.LevenbergMarquardtOptimizer(graph, values, parameters).optimize()
-    at = found.atPose2 if model.is_planar else found.atPose3
+    at = found.atPose2 if model.units.is_planar else found.atPose3
     return [at(i) for i in range(len(start))]
 
 
@@ -71,7 +71,7 @@ def left_out_by_gtsam(model, own, row):
     active[own.ties[own.is_false]] = active[tie] = False
     poses = settled_by_gtsam(model, own.settled.poses, active)
     missed = errors_of(poses, model.ties.pairs[tie], [model.ties.measured[k] for k in tie])[0]
-    own_axes = np.arange(len(missed))[model.translation]
+    own_axes = np.arange(len(missed))[model.units.translation]
     return np.linalg.norm(missed[own_axes]), np.linalg.norm(np.delete(missed, own_axes))
 
 

@@ -120,7 +120,7 @@ def concluded(
     contacts = Contacts.of(pose_graph, compared, model, judged)
     places, findings = tuple(contacts.places()), _findings(judged)
     level, reason = words.verdict(compared, places, findings, lacking=_lacking(pose_graph, model))
-    return Conclusion(verdict=level, reason=reason, places=places, closures=findings, unit_m=model.unit_m)
+    return Conclusion(verdict=level, reason=reason, places=places, closures=findings, unit_m=model.units.unit_m)
 
 
 def _lacking(pose_graph: PoseGraph, model: DriftModel) -> int:
@@ -130,7 +130,7 @@ def _lacking(pose_graph: PoseGraph, model: DriftModel) -> int:
     the plane and six in space: a single shared landmark fixes none, and two leave a turn about the line between them in
     space.
     """
-    needed = 2 if model.is_planar else 3
+    needed = 2 if model.units.is_planar else 3
     adapted = pose_graph.adaptation
     if adapted is None or not adapted.n_landmarks or (pose_graph.edge_sources & EdgeSource.BETWEEN).any():
         return 0

@@ -128,7 +128,7 @@ class Contacts:
         asked = np.concatenate([closest, loose[near_by.first]])
         settled = closures.settled
         covariances = settled.covariances(asked) * closures.drift_scale**2
-        allowances = settled.model.allowances_m(covariances)
+        allowances = settled.model.units.allowances_m(covariances)
         return cls(
             pose_graph=pose_graph,
             integrity=integrity,
@@ -305,7 +305,7 @@ class Contacts:
         covariance, shift_m = self.predicted[pair]
         if np.isnan(covariance).any():
             return None
-        own = np.arange(len(covariance))[self.settled.model.translation]
+        own = np.arange(len(covariance))[self.settled.model.units.translation]
         turn = np.setdiff1d(np.arange(len(covariance)), own)
         turned = np.linalg.eigvalsh(covariance[np.ix_(turn, turn)])[-1]
         if turned < 0:  # rounding beside measurements far beyond the map
@@ -313,7 +313,7 @@ class Contacts:
 
         # from the model's frames to the caller's
         first, second = (self.settled.poses[k] for k in pair)
-        turn = self.settled.model.levelling
+        turn = self.settled.model.units.levelling
         carry = turn.AdjointMap()
         return Proposal(
             keyframes=pair,
@@ -361,7 +361,7 @@ def _tied_near_by(
     if not len(across) or not len(overlaps):
         return np.zeros(len(overlaps), dtype=bool)
     distances, _ = KDTree(along[across]).query(along[overlaps], p=np.inf)
-    return np.asarray((distances <= 1.0) & (radii[overlaps].sum(axis=1) >= CLEAR * model.unit_m))
+    return np.asarray((distances <= 1.0) & (radii[overlaps].sum(axis=1) >= CLEAR * model.units.unit_m))
 
 
 def _gains(n: int, edges: Pairs, pairs: list[tuple[int, int]]) -> list[float]:

@@ -54,7 +54,7 @@ def rise_m(
         nothing predicts.
     """
     model = settled.model
-    if model.is_planar or model.tilt == 1.0 or np.isnan(covariance).any():
+    if model.units.is_planar or model.units.tilt == 1.0 or np.isnan(covariance).any():
         return 0.0
     i, j = overlaps.T
     up = np.asarray(settled.poses[pair[1]].rotation().matrix())[:, 2]

@@ -25,6 +25,7 @@ from pgti_gtsam.gate.terms import contact_rise
 from pgti_gtsam.gate.terms.contact_rise import Contacts, local_rise
 from pgti_gtsam.gate.terms.drift import AGREES, log_odds, log_odds_together
 from pgti_gtsam.gate.ties import OFFSET, OFFSET_RAD
+from pgti_gtsam.gate.units import Units
 
 MEMBERS = 8
 """Most members by which a revisit is weighed: those between them say nothing new."""
@@ -80,12 +81,12 @@ class Weight:
     worst: int | None = None
     refused_with: int | None = None
 
-    def note(self, model: DriftModel, missed: Array, spread: Array, odds: float) -> None:
+    def note(self, units: Units, missed: Array, spread: Array, odds: float) -> None:
         """Note the evidence of the drift.
 
         Parameters
         ----------
-        model : DriftModel
+        units : Units
         missed : (d,) float
             Difference between the middle member and the prediction.
         spread : (d, d) float
@@ -93,18 +94,18 @@ class Weight:
         odds : float
             Log odds of all members together.
         """
-        place = model.translation
+        place = units.translation
         self.drift = odds
         self.missed_m = float(np.linalg.norm(missed[place]))
         self.missed_rad = float(np.linalg.norm(np.delete(missed, np.arange(len(missed))[place])))
-        self.allowed_m = float(model.allowances_m(spread[None])[0])
+        self.allowed_m = float(units.allowances_m(spread[None])[0])
 
-    def weigh(self, model: DriftModel, later: Sequence[Any], missed: Array, spread: Array) -> None:
+    def weigh(self, units: Units, later: Sequence[Any], missed: Array, spread: Array) -> None:
         """Weigh the revisit by some members.
 
         Parameters
         ----------
-        model : DriftModel
+        units : Units
         later : sequence of g gtsam.Pose2 or gtsam.Pose3
             Of the later keyframe of each member.
         missed : (g, d) float
@@ -114,10 +115,10 @@ class Weight:
         """
         odds = np.nan
         if np.isfinite(spread).all():
-            odds = log_odds_together(model, later, range(len(later)), missed, spread) + AGREES * (len(later) - 1)
+            odds = log_odds_together(units, later, range(len(later)), missed, spread) + AGREES * (len(later) - 1)
         middle, d = len(later) // 2, missed.shape[1]
         inner = slice(middle * d, (middle + 1) * d)
-        self.note(model, missed[middle], spread[inner, inner], odds)
+        self.note(units, missed[middle], spread[inner, inner], odds)
 
     @property
     def log_odds(self) -> float:
@@ -201,9 +202,9 @@ class Admission:
         ties, single = self.model.ties, [each for each in asked if len(each.ties) == 1]
         own = np.array([each.ties[0] for each in single], dtype=np.int64)
         spreads = self._poorer * self.settled.covariances(ties.pairs[own])
-        odds = log_odds(self.model, self.settled.residuals[own], spreads)
+        odds = log_odds(self.model.units, self.settled.residuals[own], spreads)
         for each, residual, spread, found in zip(single, self.settled.residuals[own], spreads, odds, strict=True):
-            each.note(self.model, residual, spread, float(found))
+            each.note(self.model.units, residual, spread, float(found))
 
         # those of several
         rest = [each for each in asked if len(each.ties) > 1]
@@ -218,18 +219,18 @@ class Admission:
         Conditioning on a revisit takes W Wᵀ off the covariance of all; the blocks are formed on demand. A revisit whose
         prediction one of the earlier turns too far waits for the next optimum.
         """
-        members, d = [some_of(each.ties) for each in passing], len(self.model.spread)
+        members, d = [some_of(each.ties) for each in passing], len(self.model.units.spread)
         pairs = np.concatenate([self.model.ties.pairs[own] for own in members])
         spread = self._poorer * self.settled.joint_covariances([pairs])[0]
         missed = np.concatenate([self.settled.residuals[own].ravel() for own in members])
-        tolerance = self.model.variances(OFFSET, OFFSET_RAD)
+        tolerance = self.model.units.variances(OFFSET, OFFSET_RAD)
         known, ends = np.empty((len(missed), 0)), d * np.cumsum([0, *map(len, members)])
         taken: list[Weight] = []
         moved = np.empty((0, len(missed)))
         for each, own, span in zip(passing, members, map(slice, ends[:-1].tolist(), ends[1:].tolist()), strict=True):
             block = spread[span, span] - known[span] @ known[span].T
             if taken:
-                if self.model.bends(moved[:, span].reshape(-1, d)):
+                if self.model.units.bends(moved[:, span].reshape(-1, d)):
                     continue
                 self._weigh(each, own, missed[span].reshape(-1, d), block)
             if each.drift <= self.needed:
@@ -246,7 +247,7 @@ class Admission:
     def _weigh(self, each: Weight, own: Ties, missed: Array, spread: Array) -> None:
         """A revisit of several closures by the differences of some members from the prediction."""
         later = [self.settled.poses[j] for j in self.model.ties.pairs[own, 1].tolist()]
-        each.weigh(self.model, later, missed, spread)
+        each.weigh(self.model.units, later, missed, spread)
 
     def _take(self, chosen: Sequence[Weight]) -> bool:
         """Tie revisits, but refuse revisits that the free space contradicts; whether there were any."""
@@ -310,7 +311,7 @@ class Admission:
         tied = self._tied()
         if not len(tied):
             return False
-        poorer = poorer_odometry(self.model, *left_out(self.settled, tied))
+        poorer = poorer_odometry(self.model.units, *left_out(self.settled, tied))
         if poorer < MORE_DRIFT * self._poorer:
             return False
         self._poorer = poorer
@@ -338,7 +339,7 @@ class Admission:
             if len(tied) < 2:  # a lone closure was compared with all others when it was weighed
                 return
             missed, others = left_out(self.settled, tied)
-            odds = log_odds(self.model, missed, self._poorer * others)
+            odds = log_odds(self.model.units, missed, self._poorer * others)
             misfits = odds < 0
             if not misfits.any():
                 return

@@ -176,7 +176,7 @@ def optimum(
     """
     start = gtsam.Values(values)
     if values.size() == len(pose_graph):
-        turn = settled.model.levelling.inverse()
+        turn = settled.model.units.levelling.inverse()
         for key, pose in zip(pose_graph.keys.tolist(), settled.poses, strict=True):
             if typed_value(values, type(pose).__name__, key) is not None:
                 start.update(key, pose.compose(turn))

@@ -164,7 +164,9 @@ def _agree(settled: Settled, ties: NDArray[np.int64], way: NDArray[np.float64]) 
         poses[i].compose(model.ties.measured[k]).compose(poses[j].inverse())
         for k, (i, j) in zip(ties.tolist(), pairs.tolist(), strict=True)
     ]
-    return agreement(motions, [poses[j].translation() for j in pairs[:, 1].tolist()], way[pairs[:, 1]], model.unit_m)
+    return agreement(
+        motions, [poses[j].translation() for j in pairs[:, 1].tolist()], way[pairs[:, 1]], model.units.unit_m
+    )
 
 
 def agreement(

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Any
 
 import gtsam
@@ -21,14 +20,12 @@ from numpy.typing import NDArray
 
 from pgti_gtsam.adapter.values import read_keyframes
 from pgti_gtsam.factor_graphs import factors_of, keys_of
-from pgti_gtsam.gate.ties import Ties, alike, closures_of, free_space_unit, ties_of, variances_of
+from pgti_gtsam.gate.ties import Ties, alike, closures_of, free_space_unit, ties_of
+from pgti_gtsam.gate.units import Units
 from pgti_gtsam.gate.upright import chained, upright
 from pgti_gtsam.places import places_on
 from pgti_gtsam.pose_graph import PoseGraph
 from pgti_gtsam.track import track_of
-
-CURVED = 0.25
-"""How far, in ρ, a correction may bend the map beyond what linear predictions hold for, before a new optimum."""
 
 DRAWN = 1000
 """Pairs of keyframes that the spread of a map is drawn from."""
@@ -36,14 +33,13 @@ DRAWN = 1000
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class DriftModel:
     """A map's keyframes and their ties.
 
     Attributes
     ----------
-    unit_m : float
-        ρ.
+    units : Units
     poses : tuple of n gtsam.Pose2 or gtsam.Pose3
         The estimate.
     ties : Ties
@@ -51,85 +47,17 @@ class DriftModel:
         Keyframes whose position a factor of a single variable fixes.
     along : (n,) float
         Coordinate of every keyframe along the track, from `places_on`.
-    levelling : gtsam.Pose2 or gtsam.Pose3
-        Turn Q that took the caller's poses T to the model's, T Q, whose z axis is the body's vertical.
-    tilt : float
-        Drift of the odometry's tilt in parts of that of the heading: see `upright`.
     """
 
-    unit_m: float
+    units: Units
     poses: tuple[Any, ...]
     ties: Ties
     held: NDArray[np.bool_]
     along: Array
-    levelling: Any
-    tilt: float
 
     def extended(self, offered: Sequence[tuple[int, int, Any]]) -> DriftModel:
         """The same map with more ties that measure poses, as closures numbered from 0: i < j, and j seen from i."""
-        more = closures_of(offered, self.unit_m, self.levelling, is_planar=self.is_planar)
-        return replace(self, ties=self.ties.joined(more))
-
-    @property
-    def is_planar(self) -> bool:
-        """Whether the poses are Pose2."""
-        return isinstance(self.poses[0], gtsam.Pose2)
-
-    @property
-    def translation(self) -> slice:
-        """Where the translation stands in a tangent vector."""
-        return slice(0, 2) if self.is_planar else slice(3, 6)
-
-    def variances(self, length: float, angle: float) -> Array:
-        """Squares of a length in ρ and of an angle in rad, in GTSAM's order, (d,).
-
-        Parameters
-        ----------
-        length : float
-            In ρ.
-        angle : float
-            In rad.
-        """
-        return variances_of(length * self.unit_m, angle, is_planar=self.is_planar)
-
-    def allowances_m(self, covariances: Array) -> Array:
-        """Standard deviation, m, of relative positions along their least certain axis, (k,); infinite where unknown.
-
-        Parameters
-        ----------
-        covariances : (k, d, d) float
-            As from `Settled.covariances`.
-        """
-        own = self.translation
-        blocks = covariances[:, own, own]
-        unknown: Any = np.isnan(blocks).any(axis=(1, 2))
-        squares = np.linalg.eigvalsh(np.where(unknown[:, None, None], 0.0, blocks))[:, -1]
-        return np.where(unknown, np.inf, np.sqrt(np.maximum(squares, 0.0)))
-
-    def moves_little(self, moved: Array) -> bool:
-        """Whether corrections, (k, d), stay within linear steps, for keyframes and all that turns with them."""
-        place = np.arange(moved.shape[1])[self.translation]
-        turned, shifted = np.delete(moved, place, axis=1), moved[:, place]
-        reach = np.linalg.norm(shifted, axis=1) + self.extent_m * np.linalg.norm(turned, axis=1)
-        return bool(reach.max() <= CURVED * self.unit_m)
-
-    def bends(self, moved: Array) -> bool:
-        """Whether corrections, (k, d), turn the map so far that linear predictions fail: extent θ² / 2."""
-        turned = np.delete(moved, np.arange(moved.shape[1])[self.translation], axis=1)
-        return bool(self.extent_m * np.square(turned).max() / 2 > CURVED * self.unit_m)
-
-    @property
-    def extent_m(self) -> float:
-        """How far keyframes lie apart along the map's longest axis."""
-        return float(np.sqrt(np.diag(self.spread)[self.translation].max()))
-
-    @cached_property
-    def spread(self) -> Array:
-        """Covariance of the relative pose of keyframes drawn at random, axis by axis, (d, d)."""
-        first, second = np.random.default_rng(0).integers(len(self.poses), size=(2, DRAWN))
-        pairs = zip(first.tolist(), second.tolist(), strict=True)
-        apart = np.array([_parted(self.poses[i].between(self.poses[j])) for i, j in pairs])
-        return np.diag(np.square(apart).mean(axis=0))
+        return replace(self, ties=self.ties.joined(closures_of(offered, self.units)))
 
 
 def drift_model(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, pose_graph: PoseGraph) -> DriftModel:
@@ -160,15 +88,22 @@ def drift_model(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, pose_gr
         body = upright(*chained(len(poses), steps.pairs, steps.measured, steps.drifts))
         levelling = gtsam.Pose3(body.levelling, np.zeros(3))
         ties, tilt = ties.levelled(body, unit), body.tilt
+    poses = tuple(pose.compose(levelling) for pose in poses)
     return DriftModel(
-        unit_m=unit,
-        poses=tuple(pose.compose(levelling) for pose in poses),
+        units=Units(unit_m=unit, levelling=levelling, tilt=tilt, spread=_spread(poses)),
+        poses=poses,
         ties=ties,
         held=_held(graph, keyframes.index),
         along=places_on(pose_graph, track_of(pose_graph)),
-        levelling=levelling,
-        tilt=tilt,
     )
+
+
+def _spread(poses: Sequence[Any]) -> Array:
+    """Mean squares of the relative poses of keyframes drawn at random, on a diagonal, (d, d)."""
+    first, second = np.random.default_rng(0).integers(len(poses), size=(2, DRAWN))
+    pairs = zip(first.tolist(), second.tolist(), strict=True)
+    apart = np.array([_parted(poses[i].between(poses[j])) for i, j in pairs])
+    return np.diag(np.square(apart).mean(axis=0))
 
 
 def _parted(pose: Any) -> Array:

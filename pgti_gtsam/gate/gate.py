@@ -320,7 +320,7 @@ class LoopClosureGate:
         if decision is None:
             return None
         if decision.accepted and len(ties) > 1:
-            odds = drift.log_odds(grown.reference.settled.model, *given_others(*predicted, offered.variances))
+            odds = drift.log_odds(grown.reference.settled.model.units, *given_others(*predicted, offered.variances))
             if (odds < 0).any():
                 return None
         return tuple(replace(decision, keys=_keys(closure), judged_with=len(ties)) for closure in closures)
@@ -331,7 +331,7 @@ class LoopClosureGate:
         own = some_of(weight.ties)
         rows = (d * own[:, None] + np.arange(d)).ravel()
         later = [grown.pose(j) for j in offered.pairs[own, 1].tolist()]
-        weight.weigh(grown.reference.settled.model, later, missed[own], spread[np.ix_(rows, rows)])
+        weight.weigh(grown.reference.settled.model.units, later, missed[own], spread[np.ix_(rows, rows)])
         passes = weight.drift >= max(DOUBT, self._needed)
         if not passes and not weight.drift <= self._needed - contact_rise.log_odds(0.0):
             return None

@@ -79,19 +79,19 @@ class GrownMap:
         """A reference map, without its contacts and its factors for scores, and nothing since."""
         reference = replace(reference)
         model, keys = reference.settled.model, reference.pose_graph.keys.tolist()
-        d = len(model.spread)
+        d = len(model.units.spread)
         return cls(
             reference=reference,
             tail=Tail(poses=(), roots=np.empty(0, dtype=np.int64), gathered=np.empty((0, d, d))),
             places=dict(reference.keyframes.index),
             ends={_robot(key): key for key in keys},
-            closures=closures_of([], model.unit_m, model.levelling, is_planar=model.is_planar),
+            closures=closures_of([], model.units),
         )
 
     @property
     def is_planar(self) -> bool:
         """Whether the poses are Pose2."""
-        return self.reference.settled.model.is_planar
+        return self.reference.settled.model.units.is_planar
 
     @property
     def way(self) -> Array | None:
@@ -101,7 +101,7 @@ class GrownMap:
             return None
         places = np.array([pose.translation() for pose in (self.pose(n - 1), *self.tail.poses)])
         since = np.cumsum(np.linalg.norm(np.diff(places, axis=0), axis=1))
-        return np.append(track.way_m, track.way_m[-1] + since) / self.reference.settled.model.unit_m
+        return np.append(track.way_m, track.way_m[-1] + since) / self.reference.settled.model.units.unit_m
 
     @property
     def is_worn(self) -> bool:
@@ -132,12 +132,12 @@ class GrownMap:
             return None
 
         # where it leads, and what it gathers
-        n, turn = len(self.reference.pose_graph), model.levelling
+        n, turn = len(self.reference.pose_graph), model.units.levelling
         places, ends, poses = dict(self.places), dict(self.ends), list(self.tail.poses)
         roots, gathered = self.tail.roots.tolist(), list(self.tail.gathered)
         for key in sorted(steps):
             before, measured = steps[key]
-            if ends.get(_robot(key)) != before or isinstance(measured, gtsam.Pose2) is not model.is_planar:
+            if ends.get(_robot(key)) != before or isinstance(measured, gtsam.Pose2) is not model.units.is_planar:
                 return None
             step, place = turn.inverse().compose(measured).compose(turn), places[before]
             start = self.pose(place) if place < n else poses[place - n]
@@ -161,7 +161,7 @@ class GrownMap:
             return None
         model = self.reference.settled.model
         tie = self.places[first], self.places[second], measured_from(factors[0], first)
-        return closures_of([tie], model.unit_m, model.levelling, is_planar=model.is_planar)
+        return closures_of([tie], model.units)
 
     def predicted(self, offered: Ties) -> tuple[Array, Array]:
         """Differences of some ties from the map's prediction, (g, d), and their joint covariance, (g d, g d)."""
@@ -205,7 +205,7 @@ class GrownMap:
             return None
         gain = np.linalg.solve(spread[:k, :k] + np.diag((signs * known.variances).ravel()), spread[:k, k:]).T
         moved = (gain @ missed[:k]).reshape(-1, d)
-        if self.reference.settled.model.bends(moved):
+        if self.reference.settled.model.units.bends(moved):
             return None
         return missed[k:].reshape(-1, d) - moved, spread[k:, k:] - gain @ spread[:k, k:]
 
@@ -234,7 +234,7 @@ class GrownMap:
         ends = [pose.compose(pose.Expmap(error)) for pose, error in zip(measured, missed, strict=True)]
         motions = [pose.compose(end.inverse()) for pose, end in zip(measured, ends, strict=True)]
         places = [end.translation() for end in ends]
-        return bool(agreement(motions, places, way[offered.pairs[:, 1]], model.unit_m).all())
+        return bool(agreement(motions, places, way[offered.pairs[:, 1]], model.units.unit_m).all())
 
     def tied(self, offered: Ties, missed: Array, spread: Array) -> GrownMap | None:
         """The map with more ties that hold; None where the ties bend the map beyond a linear step.
@@ -250,7 +250,7 @@ class GrownMap:
         moved = tolerance @ np.linalg.solve(spread + tolerance, missed.ravel()) - missed.ravel()
         if not np.isfinite(moved).all():
             return None
-        if settled.model.moves_little(moved.reshape(missed.shape)):
+        if settled.model.units.moves_little(moved.reshape(missed.shape)):
             return replace(self, closures=ties)
 
         # the step that all of them take the reference map by
@@ -259,7 +259,7 @@ class GrownMap:
         roots, carry = self._carried(ties.pairs)
         pull = np.zeros_like(settled.steps)
         np.add.at(pull, roots, -np.einsum("keab,ka->keb", carry, pulls))
-        return None if settled.model.bends(solve(settled.factor, pull)) else replace(self, closures=ties)
+        return None if settled.model.units.bends(solve(settled.factor, pull)) else replace(self, closures=ties)
 
     def tied_by(self, closure: gtsam.NonlinearFactorGraph) -> GrownMap | None:
         """The map with a closure that passed; None where that takes more than a linear step."""
@@ -279,9 +279,9 @@ class GrownMap:
 
     def _variances(self, step: Any) -> Array:
         model = self.reference.settled.model
-        variances = step_variances(step, model.unit_m)
-        if not model.is_planar:
-            variances[:2] *= model.tilt**2
+        variances = step_variances(step, model.units.unit_m)
+        if not model.units.is_planar:
+            variances[:2] *= model.units.tilt**2
         return variances
 
     def _covariance(self, pairs: NDArray[np.int64]) -> Array:
@@ -314,7 +314,7 @@ class GrownMap:
             ]
             for j, own in zip(pairs[:, 1].tolist(), roots.tolist(), strict=True)
         ]
-        d = len(self.reference.settled.model.spread)
+        d = len(self.reference.settled.model.units.spread)
         return roots, np.array(found).reshape(-1, 2, d, d)
 
 

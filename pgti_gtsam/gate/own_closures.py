@@ -17,6 +17,7 @@ from pgti_gtsam.gate.left_out import left_out, left_out_together
 from pgti_gtsam.gate.settled import Settled, settle, solvable
 from pgti_gtsam.gate.terms.drift import log_odds, log_odds_together
 from pgti_gtsam.gate.ties import OFFSET, OFFSET_RAD
+from pgti_gtsam.gate.units import Units
 from pgti_gtsam.places import neighbourhoods
 
 PRIOR = float(np.log(19))
@@ -99,8 +100,8 @@ def own_closures(model: DriftModel) -> OwnClosures:
         # what the others say of each, and of each revisit
         missed, others = left_out(settled, closures)
         held = active[closures]
-        poorer = poorer_odometry(model, missed[held], others[held])
-        odds = PRIOR + log_odds(model, missed, poorer * others)
+        poorer = poorer_odometry(model.units, missed[held], others[held])
+        odds = PRIOR + log_odds(model.units, missed, poorer * others)
         together = _together(settled, [group[active[group]] for group in groups], odds, poorer)
 
         # take out the worst, or let in again what fits after all
@@ -116,7 +117,7 @@ def own_closures(model: DriftModel) -> OwnClosures:
         else:
             break
         settled = settle(model, active, settled)
-    own = model.translation
+    own = model.units.translation
     turned = np.delete(missed, np.arange(missed.shape[1])[own], axis=1)
     squares = np.linalg.eigvalsh(np.nan_to_num(poorer * others[:, own, own], nan=0.0))
     return OwnClosures(
@@ -156,22 +157,22 @@ def _together(settled: Settled, groups: list[NDArray[np.int64]], odds: Array, po
     agreeing = [group for group in groups if len(group) >= 2 and (odds[row[group]] > 0).all()]
     for group, (missed, others) in zip(agreeing, left_out_together(settled, agreeing), strict=True):
         later = model.ties.pairs[group, 1].tolist()
-        found[row[group]] = PRIOR + log_odds_together(model, settled.poses, later, missed, poorer * others)
+        found[row[group]] = PRIOR + log_odds_together(model.units, settled.poses, later, missed, poorer * others)
     return found
 
 
-def poorer_odometry(model: DriftModel, missed: Array, others: Array) -> float:
+def poorer_odometry(units: Units, missed: Array, others: Array) -> float:
     """Factor by which the odometry's variance exceeds the model's, by the median closure; from 1 to `POOREST`.
 
     Parameters
     ----------
-    model : DriftModel
+    units : Units
     missed : (k, d) float
         Differences of closures from the prediction by the others.
     others : (k, d, d) float
         Covariances of the predictions.
     """
-    tolerance = np.diag(model.variances(OFFSET, OFFSET_RAD))
+    tolerance = np.diag(units.variances(OFFSET, OFFSET_RAD))
     squares = np.einsum("ka,ka->k", missed, np.linalg.solve(others + tolerance, missed[:, :, None])[:, :, 0])
     known = squares[np.isfinite(squares)]
     usual = float(chdtri(missed.shape[1], 0.5))  # the median of χ²

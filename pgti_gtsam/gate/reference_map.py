@@ -102,12 +102,12 @@ class ReferenceMap:
         return self.settled.extended([tie for own in ties for tie in own]), rows
 
     def _implied(self, closure: gtsam.NonlinearFactorGraph) -> list[Tie]:
-        tie = implied_tie(closure, self.graph, self.keyframes, self.settled.model.unit_m)
+        tie = implied_tie(closure, self.graph, self.keyframes, self.settled.model.units.unit_m)
         return [] if tie is None else [tie]
 
     def revisits(self, offered: Settled) -> list[NDArray[np.int64]]:
         """Groups of candidate ties of a revisit that agree."""
-        way = self.track.way_m / offered.model.unit_m
+        way = self.track.way_m / offered.model.units.unit_m
         return agreeing(offered, np.arange(self.n_ties, len(offered.active)), way)
 
     def drawn(self, model: DriftModel, poses: Sequence[Any], active: NDArray[np.bool_]) -> PoseGraph:

@@ -221,7 +221,7 @@ def _decoded_map(state: State, gate: LoopClosureGate, radii: Radii | None) -> Gr
 
     # the keyframes and the closures since
     model, n = reference.settled.model, len(reference.pose_graph)
-    d, is_planar, tail, ties = len(model.spread), model.is_planar, state["tail"], state["closures"]
+    d, is_planar, tail, ties = len(model.units.spread), model.units.is_planar, state["tail"], state["closures"]
     return GrownMap(
         reference=reference,
         tail=Tail(

@@ -90,7 +90,7 @@ class Settled:
         """
         active = self.active.copy()
         active[ties] = ~active[ties]
-        pairs, d = self.model.ties.pairs[ties], len(self.model.spread)
+        pairs, d = self.model.ties.pairs[ties], len(self.model.units.spread)
         spread, residuals = self.joint_covariances([pairs])[0], self.residuals[ties]
 
         # what they pull with, and the step of all keyframes
@@ -100,7 +100,7 @@ class Settled:
         pull = np.zeros((len(self.poses), d))
         np.add.at(pull, pairs, -np.einsum("keab,ka->keb", self._jacobians(pairs), pulls.reshape(-1, d)))
         steps = solve(self.factor, pull)
-        if np.isnan(spread).any() or self.model.bends(steps):
+        if np.isnan(spread).any() or self.model.units.bends(steps):
             return settle(self.model, active, self).poses, active
         return tuple(pose.retract(step) for pose, step in zip(self.poses, self.steps + steps, strict=True)), active
 
@@ -109,7 +109,7 @@ class Settled:
 
         NaN in the rows and columns of pairs that no tie leads between.
         """
-        found, d = [], len(self.model.spread)
+        found, d = [], len(self.model.units.spread)
         for together in _batches([len(group) for group in groups], TOGETHER):
             pairs = np.concatenate([groups[k] for k in together])
             whole = products(self.factor, pairs, self._jacobians(pairs))
@@ -206,9 +206,9 @@ def _optimum(
 ) -> list[Any]:
     """Poses by Levenberg-Marquardt, whose damping knows no units: lengths are in ρ. False closures bend the map."""
     # ties and priors, all lengths in ρ
-    inverse, unit = 1 / model.unit_m, np.ones(len(model.spread))
-    unit[model.translation] = model.unit_m**2
-    prior = gtsam.PriorFactorPose2 if model.is_planar else gtsam.PriorFactorPose3
+    inverse, unit = 1 / model.units.unit_m, np.ones(len(model.units.spread))
+    unit[model.units.translation] = model.units.unit_m**2
+    prior = gtsam.PriorFactorPose2 if model.units.is_planar else gtsam.PriorFactorPose3
     noise = gtsam.noiseModel.Diagonal.Variances
     graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
     for k in np.flatnonzero(active).tolist():
@@ -217,18 +217,18 @@ def _optimum(
             between_factor(i, j, _scaled(model.ties.measured[k], inverse), noise(model.ties.variances[k] / unit))
         )
     for i in _fixed(model, component).tolist():
-        graph.push_back(prior(i, _scaled(start[i], inverse), noise(model.variances(ANCHOR, ANCHOR) / unit)))
-    position = gtsam.PoseTranslationPrior2D if model.is_planar else gtsam.PoseTranslationPrior3D
+        graph.push_back(prior(i, _scaled(start[i], inverse), noise(model.units.variances(ANCHOR, ANCHOR) / unit)))
+    position = gtsam.PoseTranslationPrior2D if model.units.is_planar else gtsam.PoseTranslationPrior3D
     for i in np.flatnonzero(model.held).tolist():
-        near = gtsam.noiseModel.Isotropic.Sigma(2 if model.is_planar else 3, HELD)
+        near = gtsam.noiseModel.Isotropic.Sigma(2 if model.units.is_planar else 3, HELD)
         graph.push_back(position(i, _scaled(model.poses[i], inverse), near))
 
     # their optimum, in metres again
     for i, pose in enumerate(start):
         values.insert(i, _scaled(pose, inverse))
     found = optimised(graph, values, priors=gtsam.NonlinearFactorGraph(), max_iterations=MAX_ITERATIONS, tolerance=1e-3)
-    at = found.atPose2 if model.is_planar else found.atPose3
-    return [_scaled(at(i), model.unit_m) for i in range(len(start))]
+    at = found.atPose2 if model.units.is_planar else found.atPose3
+    return [_scaled(at(i), model.units.unit_m) for i in range(len(start))]
 
 
 def _scaled(pose: Any, scale: float) -> Any:
@@ -238,9 +238,9 @@ def _scaled(pose: Any, scale: float) -> Any:
 
 def _anchors(model: DriftModel, component: NDArray[np.int32]) -> Array:
     """Diagonal blocks of the priors in the world: one of every part, and of `held` keyframes."""
-    information = np.zeros((len(model.poses), len(model.spread), len(model.spread)))
-    information[model.held] = np.diag(1 / model.variances(HELD, np.inf))
-    information[_fixed(model, component)] += np.diag(1 / model.variances(ANCHOR, ANCHOR))
+    information = np.zeros((len(model.poses), len(model.units.spread), len(model.units.spread)))
+    information[model.held] = np.diag(1 / model.units.variances(HELD, np.inf))
+    information[_fixed(model, component)] += np.diag(1 / model.units.variances(ANCHOR, ANCHOR))
     return information
 
 
@@ -273,5 +273,5 @@ def _linearised(
     # held positions
     for i in np.flatnonzero(model.held).tolist():
         away = model.poses[i].translation() - poses[i].translation()
-        pull[i, model.translation] += poses[i].rotation().unrotate(away) / (HELD * model.unit_m) ** 2
+        pull[i, model.units.translation] += poses[i].rotation().unrotate(away) / (HELD * model.units.unit_m) ** 2
     return factorise(tree, diagonal, pairs, -weighted.swapaxes(1, 2)), pull

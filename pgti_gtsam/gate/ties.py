@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from pgti_gtsam.errors import NoRadiusError
 from pgti_gtsam.factor_graphs import measured_from
+from pgti_gtsam.gate.units import Units, translation_of, variances_of
 from pgti_gtsam.gate.upright import Upright
 from pgti_gtsam.pose_graph import EdgeSource, PoseGraph
 
@@ -182,25 +183,20 @@ def free_space_unit(pose_graph: PoseGraph) -> float:
     return float(np.median(positive))
 
 
-def closures_of(offered: Sequence[tuple[int, int, Any]], unit: float, levelling: Any, *, is_planar: bool) -> Ties:
+def closures_of(offered: Sequence[tuple[int, int, Any]], units: Units) -> Ties:
     """Closures as ties, numbered in order; poses of the plane become poses in space where the map is spatial.
 
     Parameters
     ----------
     offered : sequence of tuple
         Index, index and measured pose of each closure.
-    unit : float
-        ρ, m.
-    levelling : object
-    is_planar : bool
-        Whether the map is planar.
+    units : Units
     """
-    poses = [_alike(z, is_planar) for _, _, z in offered]
-    tolerance = variances_of(OFFSET * unit, OFFSET_RAD, is_planar=is_planar)
+    poses, turn = [_alike(z, units.is_planar) for _, _, z in offered], units.levelling
     return Ties(
         pairs=np.array([tie[:2] for tie in offered], dtype=np.int64).reshape(-1, 2),
-        measured=tuple(levelling.inverse().compose(z).compose(levelling) for z in poses),
-        variances=np.tile(tolerance, (len(offered), 1)),
+        measured=tuple(turn.inverse().compose(z).compose(turn) for z in poses),
+        variances=np.tile(units.variances(OFFSET, OFFSET_RAD), (len(offered), 1)),
         slots=np.arange(len(offered)),
         drifts=np.zeros(len(offered)),
     )
@@ -209,25 +205,6 @@ def closures_of(offered: Sequence[tuple[int, int, Any]], unit: float, levelling:
 def _alike(pose: Any, is_planar: bool) -> Any:
     """A pose of the plane as a pose in space where the map is spatial."""
     return pose if is_planar or isinstance(pose, gtsam.Pose3) else gtsam.Pose3(pose)
-
-
-def variances_of(length_m: float, angle: float, *, is_planar: bool) -> Array:
-    """Squares of a length in m and of an angle in rad, in the order of GTSAM's tangent space, (d,).
-
-    Parameters
-    ----------
-    length_m : float
-    angle : float
-        In rad.
-    is_planar : bool
-    """
-    squares = np.square([length_m, length_m, angle] if is_planar else [angle] * 3 + [length_m] * 3)
-    return np.asarray(squares, dtype=float)
-
-
-def translation_of(is_planar: bool) -> slice:
-    """Where the translation stands in a tangent vector."""
-    return slice(0, 2) if is_planar else slice(3, 6)
 
 
 def _direction(step: Any) -> Array:

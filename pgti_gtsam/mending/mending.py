@@ -239,7 +239,7 @@ class _Mending:
             keys=keys,
             poses=[keyframes.pose(key) for key in keys],
             track=track_of(pose_graph),
-            unit_m=reference.settled.model.unit_m,
+            unit_m=reference.settled.model.units.unit_m,
         )
 
 

@@ -17,7 +17,8 @@ from scipy.special import chdtri
 from pgti_gtsam.factor_graphs import BETWEEN, between_factor
 from pgti_gtsam.gate.decision import metres
 from pgti_gtsam.gate.reference_map import ReferenceMap
-from pgti_gtsam.gate.ties import OFFSET, OFFSET_RAD, translation_of, variances_of
+from pgti_gtsam.gate.ties import OFFSET, OFFSET_RAD
+from pgti_gtsam.gate.units import translation_of, variances_of
 from pgti_gtsam.mending.alignment import FIT, Alignment, lengths
 from pgti_gtsam.mending.common_view import AGREES
 from pgti_gtsam.mending.records import Outcome, Wanted
@@ -141,7 +142,7 @@ def sigma_unit(graph: gtsam.NonlinearFactorGraph, reference: ReferenceMap) -> fl
     reference : ReferenceMap
     """
     pose_graph, ties = reference.pose_graph, reference.settled.model.ties
-    own = translation_of(reference.settled.model.is_planar)
+    own = translation_of(reference.settled.model.units.is_planar)
     granted = {
         (i, j): variances[own].mean()
         for (i, j), variances, drift in zip(ties.pairs.tolist(), ties.variances, ties.drifts, strict=True)

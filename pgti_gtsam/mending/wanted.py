@@ -77,7 +77,7 @@ def wanted_ties(
 
     # what the drift allows there
     spreads = reference.settled.covariances(pairs) * own_closures(reference.settled.model).drift_scale ** 2
-    allowances = reference.settled.model.allowances_m(spreads)
+    allowances = reference.settled.model.units.allowances_m(spreads)
     wanted = np.isfinite(allowances)
     wanted &= (np.arange(len(pairs)) < len(asked)) | (allowances > LOOSE * diagnosis.unit_m)
 
@@ -132,7 +132,7 @@ def _wanted(
     allowance_m: float,
 ) -> Wanted:
     """The prediction for a pair, carried from the model's frames to the caller's."""
-    turn = reference.settled.model.levelling
+    turn = reference.settled.model.units.levelling
     first, second = (reference.settled.poses[k] for k in pair)
     carry, keys = turn.AdjointMap(), reference.pose_graph.keys
     return Wanted(

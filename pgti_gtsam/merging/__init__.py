@@ -305,7 +305,7 @@ class _Merger:
         pairs = np.random.default_rng(0).integers(len(keys), size=(SAMPLED, 2))
         places = np.searchsorted(after.pose_graph.keys, np.array(keys, dtype=np.uint64))
         spread = [
-            float(np.median(each.settled.model.allowances_m(each.settled.covariances(asked))))
+            float(np.median(each.settled.model.units.allowances_m(each.settled.covariances(asked))))
             for each, asked in ((before, pairs), (after, places[pairs]))
         ]
         accepted = [link for link in self.known.values() if link.verdict == "accepted"]

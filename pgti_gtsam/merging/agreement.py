@@ -19,10 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaln, logsumexp
 
-from pgti_gtsam.gate.drift_model import DriftModel
 from pgti_gtsam.gate.settled import Settled
 from pgti_gtsam.gate.terms.drift import NEAR, NEAR_RAD, NEAR_SHARE, log_normal
 from pgti_gtsam.gate.ties import OFFSET, OFFSET_RAD
+from pgti_gtsam.gate.units import Units
 
 SEEDS = 10
 """Pairs of revisits, those that agree best, from which a set is grown."""
@@ -110,25 +110,26 @@ def _given_each_other(settled: Settled, first: int, second: int) -> tuple[float,
     own = settled.covariances(np.array([[c, a], [b, d]]))
     after_a, after_z = z.compose(on_b).inverse().AdjointMap(), on_b.inverse().AdjointMap()
     covariance = after_a @ own[0] @ after_a.T + after_z @ tolerance @ after_z.T + own[1]
-    return _log_odds(settled.model, missed, covariance), float(np.linalg.norm(missed[settled.model.translation]))
+    units = settled.model.units
+    return _log_odds(units, missed, covariance), float(np.linalg.norm(missed[units.translation]))
 
 
-def _log_odds(model: DriftModel, missed: Array, predicted: Array) -> float:
+def _log_odds(units: Units, missed: Array, predicted: Array) -> float:
     """Of true against false: a false link lies anywhere, or keeps the heading, or is off along a line."""
-    place = model.translation
-    shifted, along = np.zeros_like(model.spread), np.zeros_like(model.spread)
-    shifted[place, place] = model.spread[place, place]
+    place = units.translation
+    shifted, along = np.zeros_like(units.spread), np.zeros_like(units.spread)
+    shifted[place, place] = units.spread[place, place]
     line = missed[place] / max(float(np.linalg.norm(missed[place])), np.finfo(float).tiny)
-    along[place, place] = model.spread[place, place].max() * np.outer(line, line)
-    false = [_log_matched(model, missed, predicted + more) for more in (model.spread, shifted, along)]
-    return float(_log_matched(model, missed, predicted) - (logsumexp(false) - np.log(len(false))))
+    along[place, place] = units.spread[place, place].max() * np.outer(line, line)
+    false = [_log_matched(units, missed, predicted + more) for more in (units.spread, shifted, along)]
+    return float(_log_matched(units, missed, predicted) - (logsumexp(false) - np.log(len(false))))
 
 
-def _log_matched(model: DriftModel, missed: Array, covariance: Array) -> float:
+def _log_matched(units: Units, missed: Array, covariance: Array) -> float:
     """Log density of a miss by a link that measures a pose, or matches no more than a place."""
     shares = ((1 - NEAR_SHARE, OFFSET, OFFSET_RAD), (NEAR_SHARE, NEAR, NEAR_RAD))
     found = [
-        np.log(share) + log_normal(missed[None], (covariance + np.diag(model.variances(length, angle)))[None])[0]
+        np.log(share) + log_normal(missed[None], (covariance + np.diag(units.variances(length, angle)))[None])[0]
         for share, length, angle in shares
     ]
     return float(np.logaddexp(*found))

@@ -65,7 +65,7 @@ def _loss_on(driven: Drive) -> Any:
     def loss(reference: ReferenceMap, closures: Sequence[gtsam.NonlinearFactorGraph]) -> float:
         offered, _ = reference.offered(closures)
         tied = settle(offered.model, np.ones(len(offered.active), dtype=bool), offered)
-        level = offered.model.levelling.inverse()
+        level = offered.model.units.levelling.inverse()
         poses = [space(pose.compose(level)) for pose in tied.poses]
         pairs = offered.model.ties.pairs[reference.n_ties :].tolist()
         ends = [end for i, j in pairs for end in ((i, j), (j, i))]

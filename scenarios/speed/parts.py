@@ -230,7 +230,7 @@ def _stages(
     # what the map predicts of the closure, and the map with it
     settled, [own] = reference.offered([closure])
     model = settled.model
-    log_odds(model, settled.residuals[own], settled.covariances(model.ties.pairs[own]))
+    log_odds(model.units, settled.residuals[own], settled.covariances(model.ties.pairs[own]))
     watch.look("weighing")
     tied = settle(model, np.ones_like(settled.active), settled)
     watch.look("optimum with the closure")

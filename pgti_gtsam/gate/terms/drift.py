@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pgti_gtsam.gate.decision import Term, metres
-from pgti_gtsam.gate.drift_model import DriftModel
 from pgti_gtsam.gate.ties import OFFSET, OFFSET_RAD
+from pgti_gtsam.gate.units import Units
 
 NEAR, NEAR_RAD = 0.5, 0.25
 """Standard deviation of a match of places, in ρ and in rad: it misses by less than the free space, and ties what
@@ -34,7 +34,7 @@ AGREES = 0.4
 Array = NDArray[np.float64]
 
 
-def log_odds(model: DriftModel, missed: Array, predicted: Array) -> Array:
+def log_odds(units: Units, missed: Array, predicted: Array) -> Array:
     """Log odds of single closures before any prior, (k,).
 
     Parameters
@@ -47,21 +47,21 @@ def log_odds(model: DriftModel, missed: Array, predicted: Array) -> Array:
     known = np.isfinite(predicted).all(axis=(1, 2))
     found = np.full(len(missed), np.nan)
     missed, predicted = missed[known], predicted[known]
-    exact, near = (np.diag(model.variances(*sigmas)) for sigmas in ((OFFSET, OFFSET_RAD), (NEAR, NEAR_RAD)))
+    exact, near = (np.diag(units.variances(*sigmas)) for sigmas in ((OFFSET, OFFSET_RAD), (NEAR, NEAR_RAD)))
     is_true = np.logaddexp(
         np.log(1 - NEAR_SHARE) + log_normal(missed, predicted + exact),
         np.log(NEAR_SHARE) + log_normal(missed, predicted + near),
     )
     is_false = np.logaddexp(
-        np.log(1 - NEAR_SHARE) + log_normal(missed, predicted + exact + model.spread),
-        np.log(NEAR_SHARE) + log_normal(missed, predicted + near + model.spread),
+        np.log(1 - NEAR_SHARE) + log_normal(missed, predicted + exact + units.spread),
+        np.log(NEAR_SHARE) + log_normal(missed, predicted + near + units.spread),
     )
     found[known] = is_true - is_false
     return found
 
 
 def log_odds_together(
-    model: DriftModel, poses: Sequence[Any], later: Sequence[int], missed: Array, predicted: Array
+    units: Units, poses: Sequence[Any], later: Sequence[int], missed: Array, predicted: Array
 ) -> float:
     """Log odds that closures of a revisit are true, against a false offset that all members share.
 
@@ -70,7 +70,7 @@ def log_odds_together(
 
     Parameters
     ----------
-    model : DriftModel
+    units : Units
     poses : sequence of gtsam.Pose2 or gtsam.Pose3
         Of the map that predicts.
     later : sequence of g int
@@ -80,22 +80,22 @@ def log_odds_together(
         Joint covariance of the predictions.
     """
     moved = np.vstack([poses[j].between(poses[later[0]]).AdjointMap() for j in later])
-    offset = moved @ model.spread @ moved.T
-    is_true, is_false = (_matched_together(model, missed, predicted + more) for more in (0.0, offset))
+    offset = moved @ units.spread @ moved.T
+    is_true, is_false = (_matched_together(units, missed, predicted + more) for more in (0.0, offset))
     own = np.arange(len(missed))
     alone = predicted.reshape(len(missed), -1, len(missed), missed.shape[1])[own, :, own]
-    near = np.diag(model.variances(NEAR, NEAR_RAD))
-    each_false = float(log_normal(missed, alone + near + model.spread).sum()) if len(missed) > 1 else -np.inf
+    near = np.diag(units.variances(NEAR, NEAR_RAD))
+    each_false = float(log_normal(missed, alone + near + units.spread).sum()) if len(missed) > 1 else -np.inf
     return is_true - max(is_false, each_false)
 
 
-def _matched_together(model: DriftModel, missed: Array, covariance: Array) -> float:
+def _matched_together(units: Units, missed: Array, covariance: Array) -> float:
     """Log density of differences of closures, of which all measure poses or all match places."""
     found = [
         np.log(share) + log_normal(missed.reshape(1, -1), (covariance + np.diag(tolerance))[None])[0]
         for share, tolerance in (
-            (1 - NEAR_SHARE, np.tile(model.variances(OFFSET, OFFSET_RAD), len(missed))),
-            (NEAR_SHARE, np.tile(model.variances(NEAR, NEAR_RAD), len(missed))),
+            (1 - NEAR_SHARE, np.tile(units.variances(OFFSET, OFFSET_RAD), len(missed))),
+            (NEAR_SHARE, np.tile(units.variances(NEAR, NEAR_RAD), len(missed))),
         )
     ]
     return float(np.logaddexp(*found))
