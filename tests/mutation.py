@@ -31,8 +31,8 @@ ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "pgti_gtsam"
 WARM = "gtsam hypothesis networkx numpy plotly scipy.sparse.linalg scipy.spatial scipy.stats rich typer jsonschema"
 GATE = (
-    "candidates drift_model contact_rise grown_map upright own_closures candidate_map evidence gate gate_situations "
-    "units"
+    "candidates gate_options admission drift_model contact_rise grown_map upright own_closures candidate_map evidence "
+    "gate gate_situations units"
 )
 OF_GROUPS = {
     "spectral": "spectrum heat_kernel poles",
@@ -100,20 +100,32 @@ def tests_of(module):
     return [f"tests/test_{name}.py" for name in names.split()]
 
 
-def hints(code):
-    """Lines and columns of annotations, which change nothing."""
-    spans = []
+RECORD = {"frozen", "slots", "kw_only", "eq"}
+"""Options of records: they refuse an assignment, an attribute or an unnamed argument, and compute nothing."""
+
+
+def idle(code):
+    """First and last lines and columns of the places that change no result, by their kind."""
+    found = []
     for node in ast.walk(ast.parse(code)):
-        for part in (getattr(node, "annotation", None), getattr(node, "returns", None)):
-            if isinstance(part, ast.AST):
-                spans.append(((part.lineno, part.col_offset), (part.end_lineno, part.end_col_offset)))
-    return spans
+        # nothing reads annotations
+        found += [getattr(node, "annotation", None), getattr(node, "returns", None)]
+        if isinstance(node, ast.Call):
+            name = getattr(node.func, "id", None) or getattr(node.func, "attr", None)
+            options = {keyword.arg: keyword.value for keyword in node.keywords}
+            # records refuse misuse, and `init=False` an argument that nobody gives
+            found += [options.get(option) for option in {"dataclass": RECORD, "field": {"init"}}.get(name, ())]
+            # rows of equal number are walked alike, strictly or not
+            found += [options.get("strict")] if name == "zip" else []
+            # NumPy takes any negative number for the size that follows from the others
+            found += [size for size in node.args if name == "reshape" and ast.unparse(size) == "-1"]
+    return [((at.lineno, at.col_offset), (at.end_lineno, at.end_col_offset)) for at in found if isinstance(at, ast.AST)]
 
 
 def places(module):
     """Changes that cosmic-ray can make in a module: by line, column and kind, each an operator and an occurrence."""
     code = (PACKAGE / f"{module}.py").read_text()
-    tree, skipped, found = get_ast(code), hints(code), {}
+    tree, skipped, found = get_ast(code), idle(code), {}
     for name in sorted(cosmic_ray.plugins.operator_names()):
         operator = cosmic_ray.plugins.get_operator(name)
         if operator.arguments():

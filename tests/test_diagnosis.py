@@ -6,6 +6,7 @@ import pytest
 import streets
 
 import pgti_gtsam as pgti
+from pgti_gtsam.diagnosis.contacts import by_later_stretch
 from pgti_gtsam.diagnosis.proposals import proposal_graph
 from pgti_gtsam.errors import NoRadiusError
 from pgti_gtsam.estimate import convergence, optimised
@@ -86,6 +87,18 @@ def test_one_untied_pass_is_one_place_however_many_tied_passes_it_meets():
     assert found.verdict == "incomplete"
     assert kinds(found) == ["untied second pass"]  # the last lap goes on from the third, and so is contractible
     assert found.places[0].keyframes[1][1] >= 3 * lap
+
+
+@pytest.mark.parametrize(
+    ("first", "last", "sizes"),
+    [(15, 25, [2]), (16, 26, [1, 1]), (15, 35, [2]), (16, 40, [1, 1]), (12, 17, [2])],
+)
+def test_one_tie_holds_passes_of_which_half_of_the_shorter_later_stretch_is_common(first, last, sizes):
+    """The later stretch of one pass are the ten keyframes from 10 on; both run beside earlier passes of their own."""
+    overlaps = np.array([(0, 10), (9, 19), (50, first), (50 + last - 1 - first, last - 1)])
+    passes = [np.array([0, 1]), np.array([2, 3])]
+    groups = by_later_stretch(passes, overlaps)
+    assert [len(group) for group in groups] == sizes
 
 
 def test_a_false_closure_is_named_and_places_that_it_folds_are_laid_to_its_charge():

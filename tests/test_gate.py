@@ -390,19 +390,3 @@ def test_revisits():
 def test_a_revisit_is_told_by_the_way_where_keyframes_are_dense():
     dense = 0.1 * np.arange(400)
     assert revisits([(20, 280), (60, 320), (111, 371)], dense) == [[0, 1], [2]]
-
-
-@pytest.mark.parametrize(
-    "options",
-    [
-        {"rule": "gut feeling"},
-        {"min_probability": 0.4},
-        {"min_probability": 1.0},
-        {"min_probability": np.nan},
-        {"max_rise": 0.0},
-        {"beta": 0.0},
-    ],
-)
-def test_options_out_of_range(options):
-    with pytest.raises(InvalidOptionError, match="expected"):
-        GateOptions(**options)

@@ -250,6 +250,16 @@ def test_two_interleaved_robots_that_meet_are_tied_by_a_closure(meeting):
     assert track_of(pgti.from_gtsam(graph, values, radii=0.5)).chain.tolist() == [0, 1] * 15
 
 
+@pytest.mark.parametrize(("n", "n_chains"), [(11, 1), (12, 2)])
+def test_ties_between_neighbours_are_steps_from_three_in_ten_on_and_between_two_robots_below(n, n_chains):
+    """Every second keyframe is tied to the next but one, and so the others among them; three ties lead across."""
+    poses = walked([STEP] * (n - 1))
+    across = [(1, 2), (4, 5), (7, 8)]
+    graph, values = world(poses, tied(poses, [*((k, k + 2) for k in range(n - 2)), *across]))
+    assert track_of(pgti.from_gtsam(graph, values, radii=0.5)).n_chains == n_chains
+    assert closures(graph, values) == ([] if n_chains == 1 else [n - 2, n - 1, n])
+
+
 def test_sessions_are_chains_of_their_own_and_the_link_between_them_is_judged():
     out = walked([gtsam.Pose2(2, 0, 0)] * 9)
     back = [gtsam.Pose2(pose.x(), 1.5, 0) for pose in out[::-1]]

@@ -239,7 +239,7 @@ class Contacts:
 
         # a place for all that one tie holds
         found = []
-        for together in _by_later_stretch(passes, self.loose):
+        for together in by_later_stretch(passes, self.loose):
             loosest = sampled[cell_of[together[0]][np.argmax(excess[cell_of[together[0]]])]]
             resolved = self.loose[np.concatenate(together)]
             contact = revisit(self.pose_graph, self.track, self.loose[together[0]], resolved, loosest)
@@ -325,12 +325,19 @@ class Contacts:
         )
 
 
-def _by_later_stretch(passes: list[NDArray[np.int64]], overlaps: Pairs) -> list[list[NDArray[np.int64]]]:
+def by_later_stretch(passes: list[NDArray[np.int64]], overlaps: Pairs) -> list[list[NDArray[np.int64]]]:
     """Passes that a common tie holds: a pass runs beside several earlier passes, and a tie to any of the earlier holds
     all.
 
     Passes are given and grouped loosest first. A pass joins a group if at least half of the shorter of the two later
     stretches is common to both; ties between the earlier passes belong to other groups.
+
+    Parameters
+    ----------
+    passes : list of (k,) int
+        Rows of the overlaps of each pass.
+    overlaps : (n, 2) int
+        Keyframes, i < j.
     """
     groups: list[list[NDArray[np.int64]]] = []
     ranges: list[tuple[int, int]] = []

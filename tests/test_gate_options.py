@@ -1,0 +1,28 @@
+"""The gate's options: their limits, and what the gate does unasked."""
+
+import numpy as np
+import pytest
+
+from pgti_gtsam.errors import InvalidOptionError
+from pgti_gtsam.gate.options import GateOptions
+
+
+def test_scores_come_unasked_up_to_2000_keyframes():
+    assert GateOptions().wants_scores(2000)
+    assert not GateOptions().wants_scores(2001)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"rule": "gut feeling"},
+        {"min_probability": 0.4},
+        {"min_probability": 1.0},
+        {"min_probability": np.nan},
+        {"max_rise": 0.0},
+        {"beta": 0.0},
+    ],
+)
+def test_options_out_of_range(options):
+    with pytest.raises(InvalidOptionError, match="expected"):
+        GateOptions(**options)
