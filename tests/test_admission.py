@@ -59,14 +59,14 @@ def test_each_further_member_that_agrees_adds_its_bonus_and_a_lone_closure_has_n
     reference = LoopClosureGate().reference_map(world.graph, world.values, RADIUS)
     offered, rows = reference.offered([world.closure(k, k + len(steps)) for k in (2, 4, 6)])
     ties = np.concatenate(rows)
-    pairs, d = offered.model.ties.pairs[ties], len(offered.model.spread)
+    pairs, d = offered.model.ties.pairs[ties], len(offered.model.units.spread)
     missed, spread = offered.residuals[ties], offered.joint_covariances([pairs])[0]
     later = [offered.poses[j] for j in pairs[:, 1].tolist()]
     weight = Weight(ties=ties)
     for n in (1, 2, 3):
         own = missed[:n], spread[: n * d, : n * d]
-        weight.weigh(offered.model, later[:n], *own)
-        together = log_odds_together(offered.model, later[:n], range(n), *own)
+        weight.weigh(offered.model.units, later[:n], *own)
+        together = log_odds_together(offered.model.units, later[:n], range(n), *own)
         assert weight.drift == pytest.approx(together + (n - 1) * AGREES)
         if n == 1:
-            assert weight.drift == pytest.approx(log_odds(offered.model, missed[:1], spread[None, :d, :d])[0])
+            assert weight.drift == pytest.approx(log_odds(offered.model.units, missed[:1], spread[None, :d, :d])[0])
