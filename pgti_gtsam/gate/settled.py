@@ -32,15 +32,6 @@ HELD = 0.5
 """Standard deviation of a position that a factor of one variable holds, in ρ: a satellite receiver, say. The estimate's
 position is held, for the estimate has weighed the factor already."""
 
-ROUNDS = 4
-"""Gauss-Newton steps before Levenberg-Marquardt is asked: a map near its optimum takes two."""
-
-SHRINKING = 0.5
-"""Most that a Gauss-Newton step may be of the step before."""
-
-LAST = 0.01
-"""How far, in ρ, the last Gauss-Newton step may move a keyframe and all that turns with the keyframe."""
-
 MAX_ITERATIONS = 40
 """Levenberg-Marquardt steps to the model's optimum. Where closures are false there is no good one, nor need."""
 
@@ -194,16 +185,15 @@ def settle(model: DriftModel, active: NDArray[np.bool_] | None = None, start: Se
     tree = analyse(n, np.unique(np.sort(ties.pairs[active], axis=1), axis=0))
 
     # the optimum, and the information there
-    gauge_priors, nearby = _anchors(model, component), (start or model).poses
-    found = _from_nearby(model, tree, gauge_priors, active, nearby)
-    if found is None:
-        poses = _optimum(model, active, component, nearby)
-        found = (poses, *_linearised(model, tree, gauge_priors, active, poses))
-    poses, factor, steps = found
+    gauge_priors = _anchors(model, component)
+    poses = _optimum(model, active, component, model.poses if start is None else start.poses)
+    with solvable():
+        factor, pull = _linearised(model, tree, gauge_priors, active, poses)
+    steps = solve(factor, pull)
     return Settled(
         model=model,
         active=active,
-        poses=poses,
+        poses=tuple(poses),
         component=_placed(model, component),
         steps=steps,
         residuals=_residuals(ties, poses, steps),
@@ -211,27 +201,9 @@ def settle(model: DriftModel, active: NDArray[np.bool_] | None = None, start: Se
     )
 
 
-def _from_nearby(
-    model: DriftModel, tree: EliminationTree, gauge_priors: Array, active: NDArray[np.bool_], poses: tuple[Any, ...]
-) -> tuple[tuple[Any, ...], BlockFactor, Array] | None:
-    """Poses, factor and last step by Gauss-Newton, until a step is small; None where the steps do not shrink."""
-    before = np.inf
-    for _ in range(ROUNDS):
-        factor, steps = _linearised(model, tree, gauge_priors, active, poses)
-        if not np.isfinite(steps).all():
-            return None
-        reach = float(model.units.reaches_m(steps).max())
-        if reach <= LAST * model.units.unit_m:
-            return poses, factor, steps
-        if not reach < SHRINKING * before or model.units.bends(steps):
-            return None
-        before, poses = reach, tuple(pose.retract(step) for pose, step in zip(poses, steps, strict=True))
-    return None
-
-
 def _optimum(
     model: DriftModel, active: NDArray[np.bool_], component: NDArray[np.int32], start: Sequence[Any]
-) -> tuple[Any, ...]:
+) -> list[Any]:
     """Poses by Levenberg-Marquardt, whose damping knows no units: lengths are in ρ. False closures bend the map."""
     # ties and priors, all lengths in ρ
     inverse, unit = 1 / model.units.unit_m, np.ones(len(model.units.spread))
@@ -256,7 +228,7 @@ def _optimum(
         values.insert(i, _scaled(pose, inverse))
     found = optimised(graph, values, priors=gtsam.NonlinearFactorGraph(), max_iterations=MAX_ITERATIONS, tolerance=1e-3)
     at = found.atPose2 if model.units.is_planar else found.atPose3
-    return tuple(_scaled(at(i), model.units.unit_m) for i in range(len(start)))
+    return [_scaled(at(i), model.units.unit_m) for i in range(len(start))]
 
 
 def _scaled(pose: Any, scale: float) -> Any:
@@ -287,13 +259,7 @@ def _fixed(model: DriftModel, component: NDArray[np.int32]) -> NDArray[np.int64]
 def _linearised(
     model: DriftModel, tree: EliminationTree, gauge_priors: Array, active: NDArray[np.bool_], poses: Sequence[Any]
 ) -> tuple[BlockFactor, Array]:
-    """Σ Jᵀ R⁻¹ J factorised, J = (−A, I), of the active ties and of the positions that are held, and the step from it.
-
-    Raises
-    ------
-    UnsolvableGraphError
-        The matrix is singular to rounding.
-    """
+    """Σ Jᵀ R⁻¹ J, J = (−A, I), and −Σ Jᵀ R⁻¹ e, (n, d), of the active ties and of the positions that are held."""
     # the ties
     ties = model.ties.only(active)
     pairs, carry, weights = ties.pairs, adjoints(poses, ties.pairs), 1 / ties.variances
@@ -308,6 +274,4 @@ def _linearised(
     for i in np.flatnonzero(model.held).tolist():
         away = model.poses[i].translation() - poses[i].translation()
         pull[i, model.units.translation] += poses[i].rotation().unrotate(away) / (HELD * model.units.unit_m) ** 2
-    with solvable():
-        factor = factorise(tree, diagonal, pairs, -weighted.swapaxes(1, 2))
-    return factor, solve(factor, pull)
+    return factorise(tree, diagonal, pairs, -weighted.swapaxes(1, 2)), pull

@@ -78,13 +78,10 @@ class Units:
 
     def moves_little(self, moved: Array) -> bool:
         """Whether corrections, (k, d), stay within linear steps, for keyframes and all that turns with them."""
-        return bool(self.reaches_m(moved).max() <= CURVED * self.unit_m)
-
-    def reaches_m(self, moved: Array) -> Array:
-        """How far corrections, (k, d), move keyframes and all that turns with them, (k,)."""
         place = np.arange(moved.shape[1])[self.translation]
         turned, shifted = np.delete(moved, place, axis=1), moved[:, place]
-        return np.asarray(np.linalg.norm(shifted, axis=1) + self.extent_m * np.linalg.norm(turned, axis=1))
+        reach = np.linalg.norm(shifted, axis=1) + self.extent_m * np.linalg.norm(turned, axis=1)
+        return bool(reach.max() <= CURVED * self.unit_m)
 
     def bends(self, moved: Array) -> bool:
         """Whether corrections, (k, d), turn the map so far that linear predictions fail: extent θ² / 2."""
