@@ -33,6 +33,11 @@ and exact."""
 
 POLE_TOLERANCE = 1e-10
 
+APART = 1e10
+"""t ‖H‖₁ from which on times have resolvents of their own. Where H is singular, resolvents at shifts as small as
+‖H‖₁ / 1e15 are rounding, and in one fit for all times that rounding drowned the heat of all earlier times as well: on
+chains of 20 to 1600 vertices by 14 to 0.2 of a heat of 1. Apart, no time before is off by more than 8e-5."""
+
 VANISHING_PIVOT = 1e-9
 """A pivot below this share of its diagonal entry is rounding. Of six standard graphs the least held has 2e-8 (CSAIL);
 those that nothing holds have 5e-11 at most, or less than nothing."""
@@ -95,14 +100,28 @@ def exponential(matrix: sparse.csr_array, vectors: FloatArray, times: FloatArray
 
 
 def _by_resolvents(matrix: sparse.csr_array, vectors: FloatArray, times: FloatArray, largest: float) -> FloatArray:
-    shifts = shifts_for(1 / float(times.max()), largest, POLE_TOLERANCE)
-    fitted = fit_from_zero(shifts, times, largest)
-    values = fitted.constants[:, None, None] * vectors
-    for shift, weights in zip(shifts, fitted.weights, strict=True):
-        part = factorised(sparse.csc_array(matrix + shift * sparse.eye_array(matrix.shape[0]))).solve(vectors + 0j)
-        for k, weight in enumerate(weights):
-            values[k] += weight.real * part.real - weight.imag * part.imag
+    values = np.empty((len(times), *vectors.shape))
+    for some in shared(times, largest):
+        shifts = shifts_for(1 / float(times[some].max()), largest, POLE_TOLERANCE)
+        fitted = fit_from_zero(shifts, times[some], largest)
+        values[some] = fitted.constants[:, None, None] * vectors
+        for shift, weights in zip(shifts, fitted.weights, strict=True):
+            part = factorised(sparse.csc_array(matrix + shift * sparse.eye_array(matrix.shape[0]))).solve(vectors + 0j)
+            values[some] += weights.real[:, None, None] * part.real - weights.imag[:, None, None] * part.imag
     return values
+
+
+def shared(times: FloatArray, largest: float) -> list[NDArray[np.int64]]:
+    """Indices of the times that share resolvents: those before `APART`, and those after.
+
+    Parameters
+    ----------
+    times : (n_times,) float
+    largest : float
+        ‖H‖₁.
+    """
+    is_late = times * largest > APART
+    return [own for own in (np.flatnonzero(~is_late), np.flatnonzero(is_late)) if len(own)]
 
 
 def factorised(matrix: sparse.csc_array) -> Any:

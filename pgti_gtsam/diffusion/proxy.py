@@ -16,7 +16,7 @@ from scipy.stats import rankdata
 
 from pgti_gtsam.checks import finite_array, instance, shown, whole, whole_array
 from pgti_gtsam.diffusion.block_laplacian import NormalEquations, checked_blocks
-from pgti_gtsam.diffusion.flow import MODES_UP_TO, factorised, modes
+from pgti_gtsam.diffusion.flow import MODES_UP_TO, factorised, modes, shared
 from pgti_gtsam.diffusion.grounding import components
 from pgti_gtsam.errors import InvalidOptionError
 from pgti_gtsam.spectral.laplacian import laplacian
@@ -227,14 +227,16 @@ def heat_left(matrix: sparse.csr_array, dimension: int, vertices: NDArray[np.int
 
     # large: from resolvents
     largest = float(abs(matrix).sum(axis=0).max())
-    shifts = shifts_for(1 / float(times.max()), largest, SAMPLE_TOLERANCE)
-    fitted = fit_from_zero(shifts, times, largest)
     units = np.zeros((matrix.shape[0], len(columns)), dtype=complex)
     units[columns, np.arange(len(columns))] = 1.0
-    left = np.tile(fitted.constants, (len(columns), 1))
-    for shift, weights in zip(shifts, fitted.weights, strict=True):
-        solved = factorised(sparse.csc_array(matrix + shift * sparse.eye_array(matrix.shape[0]))).solve(units)
-        left += np.outer(solved[columns, np.arange(len(columns))], weights).real
+    left = np.empty((len(columns), len(times)))
+    for some in shared(times, largest):
+        shifts = shifts_for(1 / float(times[some].max()), largest, SAMPLE_TOLERANCE)
+        fitted = fit_from_zero(shifts, times[some], largest)
+        left[:, some] = fitted.constants
+        for shift, weights in zip(shifts, fitted.weights, strict=True):
+            solved = factorised(sparse.csc_array(matrix + shift * sparse.eye_array(matrix.shape[0]))).solve(units)
+            left[:, some] += np.outer(solved[columns, np.arange(len(columns))], weights).real
     return np.asarray(left.reshape(shape).mean(axis=1))
 
 
