@@ -1,5 +1,6 @@
 """Which of several closures are tied: the evidence on each, and how often the free space is asked."""
 
+import gtsam
 import numpy as np
 import pytest
 from streets import RADIUS, block, driven, ramp, straight, turn
@@ -12,7 +13,7 @@ from pgti_gtsam.gate.terms.contact_rise import local_rise
 from pgti_gtsam.gate.terms.drift import AGREES, log_odds, log_odds_together
 
 NEEDED = 2.0
-LAP = 4 * 32  # steps around a block of 60 m
+LAP, LAP_OF_20 = 4 * 32, 4 * 12  # steps around a block of 60 m and of 20 m
 
 
 @pytest.fixture(scope="module")
@@ -70,3 +71,28 @@ def test_each_further_member_that_agrees_adds_its_bonus_and_a_lone_closure_has_n
         assert weight.drift == pytest.approx(together + (n - 1) * AGREES)
         if n == 1:
             assert weight.drift == pytest.approx(log_odds(offered.model.units, missed[:1], spread[None, :d, :d])[0])
+
+
+@pytest.mark.parametrize("off_m", [0.0, 8.0])
+def test_a_tied_member_that_all_the_others_contradict_is_out_again(off_m):
+    world = driven([*block(20), *block(20)[:20]], noise=0.005)
+    shifted = world.truth[3].between(world.truth[LAP_OF_20 + 3]).compose(gtsam.Pose2(off_m, 0, 0))
+    closures = [world.closure(k, k + LAP_OF_20) for k in (2, 5, 8, 12)]
+    reference = LoopClosureGate().reference_map(world.graph, world.values, RADIUS)
+    offered, rows = reference.offered([*closures, world.closure(3, LAP_OF_20 + 3, shifted)])
+    weights = [Weight(ties=np.concatenate(rows))]
+    tied = np.ones(len(offered.active), dtype=bool)
+    admission = Admission(
+        model=offered.model,
+        needed=NEEDED,
+        contacts_of=CandidateMaps(reference=reference, offered=offered).contacts,
+        active=tied,
+        weights=weights,
+        nearest=settle(offered.model, tied, offered),
+    )
+    admission.run()
+    (false,) = rows[-1]
+    assert admission.active.sum() == len(tied) - (off_m > 0)
+    assert admission.active[false] == (off_m == 0)
+    assert list(admission.member_odds) == ([false] if off_m else [])
+    assert all(odds < 0 for odds in admission.member_odds.values())

@@ -15,6 +15,7 @@ from pgti_gtsam.gate.terms.contact_rise import (
     bridged_overlaps,
     contacts,
     local_rise,
+    term,
 )
 from pgti_gtsam.gate.ties import free_space_unit
 from pgti_gtsam.integrity import stable_scores
@@ -142,3 +143,31 @@ def test_the_rise_does_not_depend_on_what_is_far_away():
         for tail in (400, 900)
     ]
     assert rises[1] == pytest.approx(rises[0], abs=1e-3)
+
+
+def test_on_a_large_map_the_local_score_is_nearly_that_of_all_keyframes():
+    graph, after = hairpin(20.0, 400), folded(hairpin(20.0, 400), (10, 25))
+    n, sides = len(graph), [contacts(each) for each in (graph, after)]
+    assert n > REGION
+    change, worst = local_rise(*sides)
+    old, new = (
+        stable_scores(
+            *heat_kernels(n, *(np.stack([c // n, c % n], axis=1) for c in (s.connected, s.merged))), GATE_TIMES
+        )
+        for s in sides
+    )
+    assert change.rise == pytest.approx(new[worst] - old[worst], abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "label", "said"),
+    [
+        (0.1, 0.5, "x7", "Free space around x7 comes to touch places that nothing connects: its score rises from 0.10"),
+        (0.5, 0.1, "x7", "No keyframe's score rises: it goes from 0.50 to 0.10 around x7."),
+        (0.0, 0.0, None, "No contact of free space changes."),
+    ],
+)
+def test_a_rise_is_told_by_its_keyframe(before, after, label, said):
+    found = term(Change(before=before, after=after), label)
+    assert found.sentence.startswith(said)
+    assert found.value == pytest.approx(after - before)

@@ -233,6 +233,18 @@ def test_two_parts_in_contact_that_nothing_ties_are_undecided():
     assert "no chain of ties" in found.places[0].sentence
 
 
+def test_two_parts_without_a_contact_are_told():
+    graph, values = straight_map(np.c_[np.arange(40.0), np.zeros(40)])
+    for i in range(20):
+        key = gtsam.symbol("b", i)
+        values.insert(key, gtsam.Pose2(1.0 * i, 50.0, 0))
+        if i:
+            graph.push_back(streets.between(gtsam.symbol("b", i - 1), key, gtsam.Pose2(1.0, 0, 0)))
+    found = diagnosed(graph, values, 0.6)
+    assert found.verdict == "consistent"
+    assert "The pose graph is in 2 parts, whose places to each other nothing says." in found.reason
+
+
 def test_a_map_without_an_edge_is_not_called_consistent():
     graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
     for i in range(3):

@@ -11,6 +11,7 @@ from pgti_gtsam.gate.left_out import left_out
 from pgti_gtsam.gate.own_closures import own_closures
 from pgti_gtsam.gate.settled import ANCHOR, settle
 from pgti_gtsam.gate.ties import DRIFT, OFFSET, STRETCH
+from pgti_gtsam.gate.units import Units
 
 RADIUS = 2.0
 
@@ -149,3 +150,12 @@ def test_a_closure_is_granted_an_offset_and_near_misses():
         assert found.is_false.tolist() == [False, False, False, is_false] or (
             found.slots[found.is_false].tolist() == ([found.slots.max()] if is_false else [])
         )
+
+
+@pytest.mark.parametrize("sigmas", [(2.0, 3.0), (3.0, 2.0)])
+def test_a_prediction_is_as_uncertain_as_along_its_least_certain_axis(sigmas):
+    units = Units(unit_m=1.0, levelling=gtsam.Pose2(), tilt=1.0, spread=np.eye(3))
+    turned = np.diag([*np.square(sigmas), 100.0])
+    turned[:2, :2] = gtsam.Rot2(0.4).matrix() @ turned[:2, :2] @ gtsam.Rot2(0.4).matrix().T
+    found = units.allowances_m(np.stack([turned, np.full((3, 3), np.nan)]))
+    assert found.tolist() == pytest.approx([3.0, np.inf])

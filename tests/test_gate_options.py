@@ -26,3 +26,9 @@ def test_scores_come_unasked_up_to_2000_keyframes():
 def test_options_out_of_range(options):
     with pytest.raises(InvalidOptionError, match="expected"):
         GateOptions(**options)
+
+
+def test_one_shared_landmark_may_be_enough_and_none_is_not():
+    assert GateOptions(min_shared_landmarks=1).min_shared_landmarks == 1
+    with pytest.raises(InvalidOptionError, match="min_shared_landmarks"):
+        GateOptions(min_shared_landmarks=0)

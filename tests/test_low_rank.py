@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from pgti_gtsam.spectral import low_rank
 from pgti_gtsam.spectral.dense_kernel import dense_heat_kernel
 from pgti_gtsam.spectral.laplacian import laplacian
-from pgti_gtsam.spectral.locality import local_change
+from pgti_gtsam.spectral.locality import kernel_within, local_change
 from pgti_gtsam.spectral.low_rank import SpectralState
 
 SETTINGS = settings(derandomize=True, deadline=None, max_examples=50)
@@ -112,3 +112,17 @@ def test_a_ball_that_is_the_whole_graph_loses_nothing():
     assert np.all(change.bound == 0)
     exact = dense_heat_kernel(n, np.concatenate([edges, inserted])).diagonals(times)
     np.testing.assert_allclose(change.after, exact, atol=1e-8)
+
+
+def test_a_graph_without_a_change_is_not_computed_again():
+    n, edges, _ = closed_forms.path(30)
+    state = SpectralState.of(n, edges)
+    assert state.kernel_with(np.empty((0, 2), dtype=int)) is state.kernel
+
+
+@pytest.mark.parametrize("family", ["path", "complete"])
+def test_heat_inside_a_part_is_exact_up_to_the_largest_eigenvalue(family):
+    n, edges, _ = getattr(closed_forms, family)(16)
+    matrix, times = laplacian(n, edges), np.geomspace(0.05, 20.0, 30)
+    exact = dense_heat_kernel(n, edges).diagonals(times)
+    np.testing.assert_allclose(kernel_within(matrix, times).diagonal, exact, atol=1e-6)

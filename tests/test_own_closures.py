@@ -174,3 +174,31 @@ def along_a_road(n, *, in_space, is_held):
         graph.add(streets.between(i, j, pose_of(way[j] - way[i] + short)))
     pose_graph = pgti.from_gtsam(graph, values, radii=RADIUS)
     return drift_model(graph, values, pose_graph)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_two_false_closures_that_agree_are_judged_as_one(kind):
+    """Each is what the other predicts; all the other revisits contradict both."""
+    for seed in SEEDS:
+        graph, _ = drawn(kind, seed, 6, is_torn=True)
+        false = graph.at(graph.size() - 1)
+        i, j = false.keys()
+        ways = [graph.at(k).measured() for k in (i, j)]  # the steps that lead on from either keyframe
+        again = ways[0].inverse().compose(false.measured()).compose(ways[1])
+        graph.push_back(streets.between(i + 1, j + 1, again))
+        start = gtsam.Values()
+        start.insert(0, type(ways[0])())
+        for k in range(max(key for key in graph.keyVector())):
+            start.insert(k + 1, pose_of(start, k).compose(graph.at(k).measured()))
+        _, own = judged(graph, streets.optimum(graph, start))
+        assert own.slots[own.is_false].tolist() == [graph.size() - 2, graph.size() - 1]
+
+
+def pose_of(values, key):
+    return values.atPose2(key) if gtsam.utilities.allPose2s(values).size() else values.atPose3(key)
+
+
+def test_each_closure_that_was_left_out_is_counted():
+    told = []
+    leave_one_out(*drawn("planar", 0, 2, is_torn=False), RADIUS, progress=lambda done, of: told.append((done, of)))
+    assert told == [(1, 2), (2, 2)]
