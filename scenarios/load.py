@@ -1,9 +1,9 @@
 """Closure upon closure: does a gate that runs for days need more than its map does?
 
-The drive of `scenarios.pipeline` with closures from every keyframe to the five laps before, through three takers, each
-in a process of its own: iSAM2 alone, `GatedISAM2`, and `pgti-gtsam gate --stream`. Each closure is offered alone. At
-forty points of the way: processor time of a closure with its share of the odometry, resident memory, open files,
-threads.
+The drive of `scenarios.pipeline` with closures from every keyframe to the five laps before, through three takers at
+once, each in a process of its own: iSAM2 alone, `GatedISAM2`, and `pgti-gtsam gate --stream`. Each closure is offered
+alone. At forty points of the way: processor time of a closure with its share of the odometry, resident memory, open
+files, threads.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import multiprocessing
 import os
 import subprocess
 from collections.abc import Callable, Iterator
-from multiprocessing.connection import Connection
+from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +31,7 @@ matplotlib.use("Agg")
 from matplotlib import pyplot as plt
 
 POINTS, LAPS = 40, 5
+TAKERS = ("iSAM2 alone", "GatedISAM2", "gate --stream")
 Row = dict[str, Any]
 Step = tuple[gtsam.NonlinearFactorGraph, gtsam.Values, list[Any]]
 
@@ -49,17 +50,26 @@ def run(n_closures: int, seed: int, path: Path, tell: Callable[[str], None]) -> 
         Told each row in words.
     """
     rows: list[Row] = []
-    for taker in (_alone, _gated, _streamed):
-        ours, theirs = multiprocessing.Pipe(duplex=False)
-        process = multiprocessing.get_context("spawn").Process(target=taker, args=(n_closures, seed, theirs))
-        process.start()
-        theirs.close()
-        while (row := _received(ours)) is not None:
+    open_ = [_started(taker, n_closures, seed) for taker in (_alone, _gated, _streamed)]
+    while open_:
+        for pipe in wait(open_):
+            row = _received(pipe)
+            if row is None:
+                open_.remove(pipe)
+                continue
             rows.append(row)
+            rows.sort(key=lambda each: TAKERS.index(each["taker"]))
             outputs.write_text(path, json.dumps(rows, indent=1) + "\n")
             tell(line(row))
-        process.join()
     return rows
+
+
+def _started(taker: Callable[[int, int, Connection], None], n_closures: int, seed: int) -> Connection:
+    """The end of a pipe from a taker in a process of its own."""
+    ours, theirs = multiprocessing.Pipe(duplex=False)
+    multiprocessing.get_context("spawn").Process(target=taker, args=(n_closures, seed, theirs)).start()
+    theirs.close()
+    return ours
 
 
 def line(row: Row) -> str:
@@ -111,7 +121,7 @@ def _alone(n_closures: int, seed: int, pipe: Connection) -> None:
             smoother.update(graph_of([closure]), gtsam.Values())
         return len(closures)
 
-    _drive("iSAM2 alone", n_closures, seed, take, os.getpid(), pipe)
+    _drive(TAKERS[0], n_closures, seed, take, os.getpid(), pipe)
 
 
 def _gated(n_closures: int, seed: int, pipe: Connection) -> None:
@@ -122,7 +132,7 @@ def _gated(n_closures: int, seed: int, pipe: Connection) -> None:
         smoother.update(factors, values)
         return sum(len(smoother.update(closures=[closure]).accepted) for closure in closures)
 
-    _drive("GatedISAM2", n_closures, seed, take, os.getpid(), pipe)
+    _drive(TAKERS[1], n_closures, seed, take, os.getpid(), pipe)
 
 
 def _streamed(n_closures: int, seed: int, pipe: Connection) -> None:
@@ -135,7 +145,7 @@ def _streamed(n_closures: int, seed: int, pipe: Connection) -> None:
             stream.stdin.flush()
             return sum(json.loads(stream.stdout.readline())["accepted"] for _ in closures)
 
-        _drive("gate --stream", n_closures, seed, take, stream.pid, pipe)
+        _drive(TAKERS[2], n_closures, seed, take, stream.pid, pipe)
         stream.stdin.close()
 
 

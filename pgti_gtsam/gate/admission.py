@@ -16,12 +16,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pgti_gtsam.gate.decision import Change
+from pgti_gtsam.gate.decision import Change, Term
 from pgti_gtsam.gate.drift_model import DriftModel
 from pgti_gtsam.gate.left_out import left_out
 from pgti_gtsam.gate.own_closures import poorer_odometry
 from pgti_gtsam.gate.settled import Settled, settle
-from pgti_gtsam.gate.terms import contact_rise
+from pgti_gtsam.gate.terms import contact_rise, drift
 from pgti_gtsam.gate.terms.contact_rise import Contacts, local_rise
 from pgti_gtsam.gate.terms.drift import AGREES, log_odds, log_odds_together
 from pgti_gtsam.gate.ties import OFFSET, OFFSET_RAD
@@ -119,6 +119,11 @@ class Weight:
         middle, d = len(later) // 2, missed.shape[1]
         inner = slice(middle * d, (middle + 1) * d)
         self.note(units, missed[middle], spread[inner, inner], odds)
+
+    @property
+    def drift_term(self) -> Term:
+        """The evidence of the drift in words."""
+        return drift.term(self.drift, self.missed_m, self.missed_rad, self.allowed_m)
 
     @property
     def log_odds(self) -> float:

@@ -282,11 +282,11 @@ class LoopClosureGate:
         tie = grown.offered(closure)
         if tie is None or self.options.rule != "log_odds":
             return None
-        missed, spread = grown.predicted(tie)
-        decision = self._decided_by_drift(grown, tie, missed, spread)
+        predicted = grown.predicted(tie)
+        decision = self._decided_by_drift(grown, tie, predicted.missed, predicted.spread)
         if decision is None:
             return None
-        tied = grown.tied(tie, missed, spread) if decision.accepted else grown
+        tied = grown.tied(predicted) if decision.accepted else grown
         return replace(decision, keys=_keys(closure)), tied
 
     def reviewed(
@@ -320,7 +320,7 @@ class LoopClosureGate:
         if decision is None:
             return None
         if decision.accepted and len(ties) > 1:
-            odds = drift.log_odds(grown.reference.settled.model.units, *given_others(*predicted, offered.variances))
+            odds = drift.log_odds(grown.units, *given_others(*predicted, offered.variances))
             if (odds < 0).any():
                 return None
         return tuple(replace(decision, keys=_keys(closure), judged_with=len(ties)) for closure in closures)
@@ -331,11 +331,11 @@ class LoopClosureGate:
         own = some_of(weight.ties)
         rows = (d * own[:, None] + np.arange(d)).ravel()
         later = [grown.pose(j) for j in offered.pairs[own, 1].tolist()]
-        weight.weigh(grown.reference.settled.model.units, later, missed[own], spread[np.ix_(rows, rows)])
+        weight.weigh(grown.units, later, missed[own], spread[np.ix_(rows, rows)])
         passes = weight.drift >= max(DOUBT, self._needed)
         if not passes and not weight.drift <= self._needed - contact_rise.log_odds(0.0):
             return None
-        return self._decision(_terms(weight, grown.reference.pose_graph), [], is_tied=passes)
+        return self._decision({"drift": weight.drift_term}, [], is_tied=passes)
 
     @property
     def _needed(self) -> float:
@@ -375,7 +375,7 @@ def _check_values(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> No
 
 
 def _terms(weight: Weight, pose_graph: PoseGraph) -> dict[str, Term]:
-    terms = {"drift": drift.term(weight.drift, weight.missed_m, weight.missed_rad, weight.allowed_m)}
+    terms = {"drift": weight.drift_term}
     if weight.rise is not None:
         label = None if weight.worst is None else key_label(int(pose_graph.keys[weight.worst]))
         terms["contact_rise"] = contact_rise.term(weight.rise, label)

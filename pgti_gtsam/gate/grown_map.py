@@ -1,9 +1,7 @@
 """A reference map and the keyframes since: keyframes that odometry ties to its ends, and closures that passed.
 
 A decision does without a new optimum, and the cost does not grow with the map. Relative poses are linear in the errors
-of the reference map and of the steps since. With P the covariance of the poses that closures c since then and a
-candidate g measure, R the tolerances and e the residuals of the closures, the candidate differs by e_g − P_gc (R +
-P_cc)⁻¹ e_c, with covariance P_gg − P_gc (R + P_cc)⁻¹ P_cg (Gaussian conditioning).
+of the reference map and of the steps since; closures since then are conditioned on: see `known_closures`.
 """
 
 from __future__ import annotations
@@ -18,13 +16,16 @@ from numpy.typing import NDArray
 
 from pgti_gtsam.factor_graphs import BETWEEN, factors_of, keys_of, measured_from
 from pgti_gtsam.gate.candidates import agreement
+from pgti_gtsam.gate.kept_optimum import KeptOptimum
+from pgti_gtsam.gate.known_closures import Ends, KnownClosures, Prediction
 from pgti_gtsam.gate.left_out import LEAST_REST
 from pgti_gtsam.gate.reference_map import ReferenceMap
 from pgti_gtsam.gate.ties import Ties, closures_of, errors_of, step_variances
+from pgti_gtsam.gate.units import Units
 from pgti_gtsam.spectral.block_inverse import products, solve
 
-MOST_CLOSURES = 64
-"""Closures since the reference map beyond which it is made anew: conditioning on so many takes some milliseconds."""
+MOST_CLOSURES = 256
+"""Closures since the reference map beyond which it is made anew: conditioning on so many takes 20 milliseconds."""
 
 ROUNDING = 1e-9
 """Difference, m and rad, below which two measurements are the same."""
@@ -57,57 +58,70 @@ class GrownMap:
 
     Attributes
     ----------
-    reference : ReferenceMap
-        Source of the free radius, the vertical and the spread.
+    graph : gtsam.NonlinearFactorGraph
+    values : gtsam.Values
+        What the reference map was read from.
+    optimum : KeptOptimum
+        Of the reference map.
+    way_m : (n,) float or None
+        Way along the track to every keyframe of the reference map; None where these are not one track up to the last.
     tail : Tail
     places : dict from key to int
         All keyframes: the reference map's, then the tail's.
     ends : dict from robot to key
         Latest keyframe of each robot; the robot is the first byte of the keys.
-    closures : Ties
-        That passed since.
+    known : KnownClosures
+        Closures that passed since.
     """
 
-    reference: ReferenceMap
+    graph: gtsam.NonlinearFactorGraph
+    values: gtsam.Values
+    optimum: KeptOptimum
+    way_m: Array | None
     tail: Tail
-    places: Mapping[int, int]
+    places: dict[int, int]
     ends: Mapping[int, int]
-    closures: Ties
+    known: KnownClosures
 
     @classmethod
     def of(cls, reference: ReferenceMap) -> GrownMap:
-        """A reference map, without its contacts and its factors for scores, and nothing since."""
-        reference = replace(reference)
-        model, keys = reference.settled.model, reference.pose_graph.keys.tolist()
-        d = len(model.units.spread)
+        """A reference map, and nothing since."""
+        units, keys, track = reference.settled.model.units, reference.pose_graph.keys.tolist(), reference.track
+        d, optimum = len(units.spread), KeptOptimum.of(reference.settled)
         return cls(
-            reference=reference,
+            graph=reference.graph,
+            values=reference.keyframes.values,
+            optimum=optimum,
+            way_m=track.way_m if track.order[-1] == len(keys) - 1 else None,
             tail=Tail(poses=(), roots=np.empty(0, dtype=np.int64), gathered=np.empty((0, d, d))),
-            places=dict(reference.keyframes.index),
+            places={key: place for place, key in enumerate(keys)},
             ends={_robot(key): key for key in keys},
-            closures=closures_of([], model.units),
+            known=KnownClosures.none(optimum.factor, units),
         )
 
     @property
-    def is_planar(self) -> bool:
-        """Whether the poses are Pose2."""
-        return self.reference.settled.model.units.is_planar
+    def closures(self) -> Ties:
+        """Closures that passed since."""
+        return self.known.ties
+
+    @property
+    def units(self) -> Units:
+        """ρ, the vertical and the spread of the reference map."""
+        return self.optimum.units
 
     @property
     def way(self) -> Array | None:
         """Way along the track to every keyframe, (n + t,), in ρ; None where these are not the track of one robot."""
-        track, n = self.reference.track, len(self.reference.pose_graph)
-        if len(self.ends) > 1 or track.order[-1] != n - 1:
+        if len(self.ends) > 1 or self.way_m is None:
             return None
-        places = np.array([pose.translation() for pose in (self.pose(n - 1), *self.tail.poses)])
+        places = np.array([pose.translation() for pose in (self.pose(len(self.way_m) - 1), *self.tail.poses)])
         since = np.cumsum(np.linalg.norm(np.diff(places, axis=0), axis=1))
-        return np.append(track.way_m, track.way_m[-1] + since) / self.reference.settled.model.units.unit_m
+        return np.append(self.way_m, self.way_m[-1] + since) / self.units.unit_m
 
     @property
     def is_worn(self) -> bool:
         """Whether so much came since that the reference map is better made anew."""
-        n = len(self.reference.pose_graph)
-        return len(self.closures.pairs) > MOST_CLOSURES or len(self.tail.poses) > n
+        return len(self.closures.pairs) > MOST_CLOSURES or len(self.tail.poses) > len(self.optimum)
 
     def grown(self, factors: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> GrownMap | None:
         """The map with more keyframes.
@@ -121,7 +135,7 @@ class GrownMap:
             Of the step.
         """
         # the step to each new keyframe
-        model, new = self.reference.settled.model, set(values.keys())
+        new = set(values.keys())
         steps: dict[int, tuple[int, Any]] = {}
         for factor in factors_of(factors):
             before, key = min(keys_of(factor)), max(keys_of(factor))
@@ -132,12 +146,12 @@ class GrownMap:
             return None
 
         # where it leads, and what it gathers
-        n, turn = len(self.reference.pose_graph), model.units.levelling
+        n, turn = len(self.optimum), self.units.levelling
         places, ends, poses = dict(self.places), dict(self.ends), list(self.tail.poses)
         roots, gathered = self.tail.roots.tolist(), list(self.tail.gathered)
         for key in sorted(steps):
             before, measured = steps[key]
-            if ends.get(_robot(key)) != before or isinstance(measured, gtsam.Pose2) is not model.units.is_planar:
+            if ends.get(_robot(key)) != before or isinstance(measured, gtsam.Pose2) is not self.units.is_planar:
                 return None
             step, place = turn.inverse().compose(measured).compose(turn), places[before]
             start = self.pose(place) if place < n else poses[place - n]
@@ -159,17 +173,18 @@ class GrownMap:
         first, second = sorted(keys_of(factors[0]))
         if first == second or not {first, second} <= set(self.places):
             return None
-        model = self.reference.settled.model
         tie = self.places[first], self.places[second], measured_from(factors[0], first)
-        return closures_of([tie], model.units)
+        return closures_of([tie], self.units)
 
-    def predicted(self, offered: Ties) -> tuple[Array, Array]:
-        """Differences of some ties from the map's prediction, (g, d), and their joint covariance, (g d, g d)."""
-        ties, d = self.closures.joined(offered), offered.variances.shape[1]
-        k, missed, spread = d * len(self.closures.pairs), self._missed(ties), self._covariance(ties.pairs)
-        known = spread[:k, :k] + np.diag(self.closures.variances.ravel())
-        gain = np.linalg.solve(known, spread[:k, k:]).T
-        return (missed[k:] - gain @ missed[:k]).reshape(-1, d), spread[k:, k:] - gain @ spread[:k, k:]
+    def predicted(self, offered: Ties) -> Prediction:
+        """The prediction of some ties by the map and all closures since."""
+        own = self._ends(offered.pairs)
+        halves, across, covariance = self.known.halves.extended(own.roots, own.carry)
+        across += self._shared(self.known.ends, own)
+        covariance += self._shared(own, own)
+        lost = self._lost(own)
+        covariance[lost], covariance[:, lost], across[:, lost] = np.nan, np.nan, np.nan
+        return self.known.prediction(offered, self._missed(offered), own, halves, across, covariance)
 
     def predicted_without(self, offered: Ties, held: Sequence[bool]) -> tuple[Array, Array] | None:
         """As `predicted`, by the map without those of the ties that hold.
@@ -184,11 +199,11 @@ class GrownMap:
             Which of the ties hold in the map.
         """
         # the ties that hold, in the reference map or since
-        own, later = self.reference.settled.model.ties, np.ones(len(self.closures.pairs), dtype=bool)
+        own, later = self.optimum.closures_between(offered.pairs), np.ones(len(self.closures.pairs), dtype=bool)
         earlier = np.zeros(len(own.pairs), dtype=bool)
         for k in np.flatnonzero(held).tolist():
             since, before = (_same(ties, offered, k) for ties in (self.closures, own))
-            since, before = since[later[since]], before[~earlier[before] & (own.slots[before] >= 0)]
+            since, before = since[later[since]], before[~earlier[before]]
             if len(since):
                 later[since[0]] = False
             elif len(before):
@@ -205,7 +220,7 @@ class GrownMap:
             return None
         gain = np.linalg.solve(spread[:k, :k] + np.diag((signs * known.variances).ravel()), spread[:k, k:]).T
         moved = (gain @ missed[:k]).reshape(-1, d)
-        if self.reference.settled.model.units.bends(moved):
+        if self.units.bends(moved):
             return None
         return missed[k:].reshape(-1, d) - moved, spread[k:, k:] - gain @ spread[:k, k:]
 
@@ -225,7 +240,7 @@ class GrownMap:
         missed : (g, d) float
             As from `predicted_without`.
         """
-        way, model = self.way, self.reference.settled.model
+        way = self.way
         if way is None:
             return len(missed) == 1
         measured = [
@@ -234,37 +249,27 @@ class GrownMap:
         ends = [pose.compose(pose.Expmap(error)) for pose, error in zip(measured, missed, strict=True)]
         motions = [pose.compose(end.inverse()) for pose, end in zip(measured, ends, strict=True)]
         places = [end.translation() for end in ends]
-        return bool(agreement(motions, places, way[offered.pairs[:, 1]], model.units.unit_m).all())
+        return bool(agreement(motions, places, way[offered.pairs[:, 1]], self.units.unit_m).all())
 
-    def tied(self, offered: Ties, missed: Array, spread: Array) -> GrownMap | None:
-        """The map with more ties that hold; None where the ties bend the map beyond a linear step.
-
-        Parameters
-        ----------
-        offered : Ties
-        missed, spread
-            As from `predicted`.
-        """
-        ties, settled = self.closures.joined(offered), self.reference.settled
-        tolerance = np.diag(offered.variances.ravel())
-        moved = tolerance @ np.linalg.solve(spread + tolerance, missed.ravel()) - missed.ravel()
+    def tied(self, new: Prediction) -> GrownMap | None:
+        """The map with more ties that hold; None where the ties bend the map beyond a linear step."""
+        tolerance, missed = np.diag(new.offered.variances.ravel()), new.missed.ravel()
+        moved = tolerance @ np.linalg.solve(new.spread + tolerance, missed) - missed
         if not np.isfinite(moved).all():
             return None
-        if settled.model.units.moves_little(moved.reshape(missed.shape)):
-            return replace(self, closures=ties)
+        known = self.known.with_predicted(new)
+        if self.units.moves_little(moved.reshape(new.missed.shape)):
+            return replace(self, known=known)
 
         # the step that all of them take the reference map by
-        known = self._covariance(ties.pairs) + np.diag(ties.variances.ravel())
-        pulls = np.linalg.solve(known, self._missed(ties)).reshape(ties.variances.shape)
-        roots, carry = self._carried(ties.pairs)
-        pull = np.zeros_like(settled.steps)
-        np.add.at(pull, roots, -np.einsum("keab,ka->keb", carry, pulls))
-        return None if settled.model.units.bends(solve(settled.factor, pull)) else replace(self, closures=ties)
+        pull = np.zeros((len(self.optimum), new.missed.shape[1]))
+        np.add.at(pull, known.ends.roots, -np.einsum("keab,ka->keb", known.ends.carry, known.pulls()))
+        return None if self.units.bends(solve(self.optimum.factor, pull)) else replace(self, known=known)
 
     def tied_by(self, closure: gtsam.NonlinearFactorGraph) -> GrownMap | None:
         """The map with a closure that passed; None where that takes more than a linear step."""
         tie = self.offered(closure)
-        return None if tie is None else self.tied(tie, *self.predicted(tie))
+        return None if tie is None else self.tied(self.predicted(tie))
 
     def _missed(self, ties: Ties) -> Array:
         """e of each tie at the keyframes of the reference map's optimum and the steps since, (k d,)."""
@@ -274,39 +279,42 @@ class GrownMap:
 
     def pose(self, place: int) -> Any:
         """The keyframe at a place, where the optimum of the reference map and the steps since put the keyframe."""
-        settled, n = self.reference.settled, len(self.reference.pose_graph)
-        return settled.poses[place].retract(settled.steps[place]) if place < n else self.tail.poses[place - n]
+        n = len(self.optimum)
+        return self.optimum.pose(place) if place < n else self.tail.poses[place - n]
 
     def _variances(self, step: Any) -> Array:
-        model = self.reference.settled.model
-        variances = step_variances(step, model.units.unit_m)
-        if not model.units.is_planar:
-            variances[:2] *= model.units.tilt**2
+        variances = step_variances(step, self.units.unit_m)
+        if not self.units.is_planar:
+            variances[:2] *= self.units.tilt**2
         return variances
 
     def _covariance(self, pairs: NDArray[np.int64]) -> Array:
         """Joint covariance of the pose of j seen from i for all pairs, (k d, k d); NaN where no tie leads between."""
-        settled, n, (roots, carry) = self.reference.settled, len(self.reference.pose_graph), self._carried(pairs)
-        whole, d = products(settled.factor, roots, carry), carry.shape[-1]
-
-        # what the steps of the tails add: two ends on one tail share those up to the earlier of both
-        ends = np.flatnonzero(pairs.ravel() >= n)
-        root, place = roots.ravel()[ends], pairs.ravel()[ends] - n
-        shared = self.tail.gathered[np.minimum(place[:, None], place)] * (root[:, None] == root)[:, :, None, None]
-        carried = carry.reshape(-1, d, d)[ends]
-        added = np.einsum("aux,abxy,bvy->aubv", carried, shared, carried, optimize=True)
-        rows = (d * (ends // 2)[:, None] + np.arange(d)).ravel()
-        np.add.at(whole, (rows[:, None], rows), added.reshape(len(rows), len(rows)))
-
-        # parts that nothing joins
-        lost = np.repeat(np.diff(settled.component[roots], axis=1)[:, 0] != 0, d)
+        ends = self._ends(pairs)
+        whole, lost = products(self.optimum.factor, ends.roots, ends.carry) + self._shared(ends, ends), self._lost(ends)
         whole[lost], whole[:, lost] = np.nan, np.nan
         return whole
 
-    def _carried(self, pairs: NDArray[np.int64]) -> tuple[NDArray[np.int64], Array]:
-        """Keyframes of the reference map that the ends of pairs hang on, (k, 2), and the Jacobian, (k, 2, d, d)."""
-        n = len(self.reference.pose_graph)
-        roots = np.append(np.arange(n), self.tail.roots)[pairs]
+    def _shared(self, one: Ends, other: Ends) -> Array:
+        """What the steps of the tails add to a covariance, (k d, l d): two ends on a tail share those up to the earlier
+        of both."""
+        n, d = len(self.optimum), len(self.units.spread)
+        added = np.zeros((len(one.pairs), len(other.pairs), d, d))
+        (a, i), (b, j) = (np.nonzero(ends.pairs >= n) for ends in (one, other))
+        first, second = one.pairs[a, i] - n, other.pairs[b, j] - n
+        on_one = one.roots[a, i][:, None] == other.roots[b, j]
+        gathered = self.tail.gathered[np.minimum(first[:, None], second)] * on_one[:, :, None, None]
+        parts = np.einsum("aux,abxy,bvy->abuv", one.carry[a, i], gathered, other.carry[b, j], optimize=True)
+        np.add.at(added, (a[:, None], b), parts)
+        return added.transpose(0, 2, 1, 3).reshape(len(one.pairs) * d, len(other.pairs) * d)
+
+    def _lost(self, ends: Ends) -> NDArray[np.bool_]:
+        """Rows of relative poses between parts that nothing joins, (k d,)."""
+        return np.repeat(np.diff(self.optimum.component[ends.roots], axis=1)[:, 0] != 0, len(self.units.spread))
+
+    def _ends(self, pairs: NDArray[np.int64]) -> Ends:
+        """The ends of pairs, with the Jacobian of the pose of j seen from i."""
+        roots = np.append(np.arange(len(self.optimum)), self.tail.roots)[pairs]
         found = [
             [
                 sign * self.pose(j).between(self.pose(root)).AdjointMap()
@@ -314,8 +322,8 @@ class GrownMap:
             ]
             for j, own in zip(pairs[:, 1].tolist(), roots.tolist(), strict=True)
         ]
-        d = len(self.reference.settled.model.units.spread)
-        return roots, np.array(found).reshape(-1, 2, d, d)
+        d = len(self.units.spread)
+        return Ends(pairs, roots, np.array(found).reshape(-1, 2, d, d))
 
 
 def _same(ties: Ties, offered: Ties, k: int) -> NDArray[np.int64]:

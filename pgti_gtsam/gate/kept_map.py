@@ -273,7 +273,7 @@ def _checked_between(
     keys = {key for factor in factors_of(closure) for key in keys_of(factor)}
     if not all(key in grown.places for key in keys):
         return None
-    kind, own = "Pose2" if grown.is_planar else "Pose3", gtsam.Values()
+    kind, own = "Pose2" if grown.units.is_planar else "Pose3", gtsam.Values()
     for key in keys:
         is_new = new.values.exists(key)
         at = getattr(new.values, f"at{kind}") if is_new else getattr(new.map, f"calculateEstimate{kind}")

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -187,11 +187,10 @@ def placed_in(
 
 def _encoded_map(grown: GrownMap) -> State:
     # what the reference map was made of, and the keyframes since
-    reference = grown.reference
     state: State = {
-        "factors": archive_of(reference.graph),
-        "values": reference.keyframes.values.serialize(),
-        "keys": list(grown.places)[len(reference.pose_graph) :],
+        "factors": archive_of(grown.graph),
+        "values": grown.values.serialize(),
+        "keys": list(grown.places)[len(grown.optimum) :],
         "ends": [[robot, key] for robot, key in grown.ends.items()],
     }
 
@@ -217,28 +216,33 @@ def _decoded_map(state: State, gate: LoopClosureGate, radii: Radii | None) -> Gr
     values = values_from(state["values"])
     if isinstance(radii, Mapping):
         radii = {key: radius for key, radius in radii.items() if values.exists(key)}
-    reference = gate.reference_map(graph_from(state["factors"]), values, radii)
+    grown = GrownMap.of(gate.reference_map(graph_from(state["factors"]), values, radii))
 
-    # the keyframes and the closures since
-    model, n = reference.settled.model, len(reference.pose_graph)
-    d, is_planar, tail, ties = len(model.units.spread), model.units.is_planar, state["tail"], state["closures"]
-    return GrownMap(
-        reference=reference,
+    # the keyframes since
+    units, n = grown.units, len(grown.optimum)
+    d, is_planar, tail, ties = len(units.spread), units.is_planar, state["tail"], state["closures"]
+    grown = replace(
+        grown,
         tail=Tail(
             poses=_poses(tail["poses"], is_planar=is_planar),
             roots=np.array(tail["roots"], dtype=np.int64),
             gathered=np.array(tail["gathered"]).reshape(-1, d, d),
         ),
-        places=reference.keyframes.index | {key: n + k for k, key in enumerate(state["keys"])},
+        places=grown.places | {key: n + k for k, key in enumerate(state["keys"])},
         ends=dict(state["ends"]),
-        closures=Ties(
-            pairs=np.array(ties["pairs"], dtype=np.int64).reshape(-1, 2),
-            measured=_poses(ties["measured"], is_planar=is_planar),
-            variances=np.array(ties["variances"]).reshape(-1, d),
-            slots=np.array(ties["slots"], dtype=np.int64),
-            drifts=np.array(ties["drifts"], dtype=float),
-        ),
     )
+
+    # the closures since, one by one as they came
+    closures = Ties(
+        pairs=np.array(ties["pairs"], dtype=np.int64).reshape(-1, 2),
+        measured=_poses(ties["measured"], is_planar=is_planar),
+        variances=np.array(ties["variances"]).reshape(-1, d),
+        slots=np.array(ties["slots"], dtype=np.int64),
+        drifts=np.array(ties["drifts"], dtype=float),
+    )
+    for own in np.eye(len(closures.pairs), dtype=bool):
+        grown = replace(grown, known=grown.known.with_predicted(grown.predicted(closures.only(own))))
+    return grown
 
 
 def archive_of(graph: gtsam.NonlinearFactorGraph) -> str:

@@ -87,7 +87,13 @@ def factorise(tree: EliminationTree, diagonal: FloatArray, pairs: IntArray, bloc
             above[np.ix_(into, into)] += _blocks(flat[cut:, cut:] - flat[cut:, :cut] @ coupling, d)
         inverses.append(inverse)
         couplings.append(coupling)
-    return BlockFactor(tree=tree, size=d, inverses=inverses, couplings=couplings)
+    return BlockFactor(tree=tree, size=d, inverses=_side_by_side(inverses), couplings=_side_by_side(couplings))
+
+
+def _side_by_side(blocks: list[FloatArray]) -> list[FloatArray]:
+    """The same matrices in one array, which leaves no gaps in memory when it goes."""
+    whole, ends = np.concatenate([block.ravel() for block in blocks]), np.cumsum([block.size for block in blocks])
+    return [part.reshape(block.shape) for part, block in zip(np.split(whole, ends[:-1]), blocks, strict=True)]
 
 
 def solve(factor: BlockFactor, b: FloatArray) -> FloatArray:
@@ -125,9 +131,54 @@ def products(factor: BlockFactor, ends: IntArray, jacobians: FloatArray) -> Floa
         The entries.
     """
     found = np.zeros((len(ends) * factor.size, len(ends) * factor.size))
-    for inverse, z in _half_solved(factor, ends, jacobians):
-        found += z.T @ (inverse @ z)
+    for k, z in _half_solved(factor, ends, jacobians):
+        found += z.T @ (factor.inverses[k] @ z)
     return found
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class HalfProducts:
+    """D⁻¹ L⁻¹ Jᵀ of some blocks of rows of J, for the products of `products` with further blocks.
+
+    Attributes
+    ----------
+    factor : BlockFactor
+    n_pairs : int
+        Number of the blocks, k.
+    columns : dict from int to ((m,) int, (w d, m d) float)
+        At each supernode on the ways to the roots: which blocks pass there, and the entries.
+    """
+
+    factor: BlockFactor
+    n_pairs: int
+    columns: dict[int, tuple[IntArray, FloatArray]]
+
+    @classmethod
+    def none(cls, factor: BlockFactor) -> HalfProducts:
+        """No block yet."""
+        return cls(factor=factor, n_pairs=0, columns={})
+
+    def extended(self, ends: IntArray, jacobians: FloatArray) -> tuple[HalfProducts, FloatArray, FloatArray]:
+        """These blocks and more; the products J H⁻¹ J'ᵀ of these with those, (k d, g d), and of those, (g d, g d).
+
+        Parameters
+        ----------
+        ends : (g, 2) int
+            As for `products`.
+        jacobians : (g, 2, d, d) float
+            As for `products`.
+        """
+        d, g, columns = self.factor.size, len(ends), dict(self.columns)
+        new = self.n_pairs + np.arange(g)
+        across, own = np.zeros((self.n_pairs, d, g * d)), np.zeros((g * d, g * d))
+        for k, z in _half_solved(self.factor, ends, jacobians):
+            weighted = self.factor.inverses[k] @ z
+            own += z.T @ weighted
+            passing, entries = self.columns.get(k, (new[:0], weighted[:, :0]))
+            across[passing] += (entries.T @ z).reshape(-1, d, g * d)
+            columns[k] = np.append(passing, new), np.hstack([entries, weighted])
+        extended = HalfProducts(factor=self.factor, n_pairs=self.n_pairs + g, columns=columns)
+        return extended, across.reshape(-1, g * d), own
 
 
 def own_products(factor: BlockFactor, ends: IntArray, jacobians: FloatArray) -> FloatArray:
@@ -144,14 +195,14 @@ def own_products(factor: BlockFactor, ends: IntArray, jacobians: FloatArray) -> 
     d, found = factor.size, np.zeros((len(ends), factor.size, factor.size))
     order = np.argsort(factor.tree.positions[ends].max(axis=1, initial=0), kind="stable")
     for part in np.split(order, np.arange(TOGETHER, len(order), TOGETHER)):
-        for inverse, z in _half_solved(factor, ends[part], jacobians[part]):
-            weighted = (inverse @ z).reshape(-1, len(part), d)
+        for k, z in _half_solved(factor, ends[part], jacobians[part]):
+            weighted = (factor.inverses[k] @ z).reshape(-1, len(part), d)
             found[part] += np.einsum("rka,rkb->kab", z.reshape(weighted.shape), weighted, optimize=True)
     return found
 
 
-def _half_solved(factor: BlockFactor, ends: IntArray, jacobians: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:
-    """D⁻¹ and Z = L⁻¹ Jᵀ at every supernode on the way from some vertices to the roots, (w d, w d) and (w d, k d)."""
+def _half_solved(factor: BlockFactor, ends: IntArray, jacobians: FloatArray) -> Iterator[tuple[int, FloatArray]]:
+    """Every supernode on the way from some vertices to the roots, and Z = L⁻¹ Jᵀ there, (w d, k d)."""
     tree, d, k = factor.tree, factor.size, len(ends)
     visited = tree.closure(tree.positions[ends].ravel())
 
@@ -170,7 +221,7 @@ def _half_solved(factor: BlockFactor, ends: IntArray, jacobians: FloatArray) -> 
         z = x[start : start + width].reshape(width * d, k * d)
         rows = place[tree.rows[tree.row_starts[own] : tree.row_starts[own + 1]]]
         x[rows] -= (factor.couplings[own].T @ z).reshape(len(rows), d, k * d)
-        yield factor.inverses[own], z
+        yield own, z
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

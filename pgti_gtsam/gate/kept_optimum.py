@@ -1,0 +1,93 @@
+"""An optimum of the drift model as a running pipeline keeps it: arrays, and no object of a single keyframe or tie.
+
+A map is read anew now and then. If thousands of small objects stayed of each reading, the memory between them would
+stay with the process.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import gtsam
+import numpy as np
+from numpy.typing import NDArray
+
+from pgti_gtsam.gate.settled import Settled
+from pgti_gtsam.gate.ties import OFFSET, OFFSET_RAD, Ties
+from pgti_gtsam.gate.units import Units
+from pgti_gtsam.spectral.block_inverse import BlockFactor
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class KeptOptimum:
+    """What predictions need of a `Settled`.
+
+    Attributes
+    ----------
+    units : Units
+    poses : (n, p) float
+        Of every keyframe x, y and heading in the plane, the rows of its homogeneous matrix in space.
+    component : (n,) int
+        Connected part of every keyframe.
+    factor : BlockFactor
+        Of the information matrix.
+    pairs : (c, 2) int
+        Keyframes i < j of the map's own closures.
+    measured : (c, p) float
+        Pose of j seen from i, like the poses.
+    """
+
+    units: Units
+    poses: Array
+    component: NDArray[np.int32]
+    factor: BlockFactor
+    pairs: NDArray[np.int64]
+    measured: Array
+
+    @classmethod
+    def of(cls, settled: Settled) -> KeptOptimum:
+        """The same optimum in arrays, after the last linear step."""
+        closures = settled.model.ties.only(settled.model.ties.slots >= 0)
+        return cls(
+            units=settled.model.units,
+            poses=_rows([pose.retract(step) for pose, step in zip(settled.poses, settled.steps, strict=True)]),
+            component=settled.component,
+            factor=settled.factor,
+            pairs=closures.pairs,
+            measured=_rows(closures.measured),
+        )
+
+    def __len__(self) -> int:
+        """Count the keyframes."""
+        return len(self.poses)
+
+    def pose(self, keyframe: int) -> Any:
+        """A keyframe's gtsam.Pose2 or gtsam.Pose3."""
+        return self._pose(self.poses[keyframe])
+
+    def closures_between(self, pairs: NDArray[np.int64]) -> Ties:
+        """The map's own closures between some pairs of keyframes."""
+        own = np.flatnonzero((self.pairs[:, None] == pairs[None]).all(axis=2).any(axis=1))
+        return Ties(
+            pairs=self.pairs[own],
+            measured=tuple(self._pose(row) for row in self.measured[own]),
+            variances=np.tile(self.units.variances(OFFSET, OFFSET_RAD), (len(own), 1)),
+            slots=own,
+            drifts=np.zeros(len(own)),
+        )
+
+    def _pose(self, row: Array) -> Any:
+        return gtsam.Pose2(*row) if self.units.is_planar else gtsam.Pose3(row.reshape(4, 4))
+
+
+def _rows(poses: Sequence[Any]) -> Array:
+    return np.array(
+        [
+            (pose.x(), pose.y(), pose.theta()) if isinstance(pose, gtsam.Pose2) else pose.matrix().ravel()
+            for pose in poses
+        ]
+    )
