@@ -9,7 +9,8 @@ from json_schemas import check
 from streets import RADIUS, between, block, driven
 
 from pgti_gtsam import datasets, merge
-from pgti_gtsam.errors import FileFormatError, InvalidClosureError
+from pgti_gtsam.errors import FileFormatError, InvalidClosureError, InvalidGraphError
+from pgti_gtsam.factor_graphs import keys_of
 
 LAP = 48
 FRAMES = {"a": gtsam.Pose2(), "b": gtsam.Pose2(500, 20, 1), "c": gtsam.Pose2(-30, 5, 2.5)}
@@ -124,6 +125,33 @@ def test_a_link_is_one_between_factor(robots):
     prior = gtsam.PriorFactorPose2(key("a0"), gtsam.Pose2(), gtsam.noiseModel.Unit.Create(3))
     with pytest.raises(InvalidClosureError, match="expected a link of one between factor"):
         merge(graph, values, [prior], RADIUS)
+
+
+def test_landmarks_move_with_their_map_and_stay_where_no_factor_sees_them(robots):
+    """A corner that robot b sees, and a point that nothing ties to any map and that belongs to none."""
+    graph, values = together(robots, {letter: FRAMES[letter] for letter in "ab"})
+    slots = [slot for slot in range(graph.size()) if np.diff(keys_of(graph.at(slot)))[0] > 1]
+    corner, lone, pose = gtsam.symbol("l", 0), gtsam.symbol("l", 1), values.atPose2(key("b7"))
+    values.insert(corner, pose.transformFrom(np.array([2.0, 1.0])))
+    values.insert(lone, np.array([9.0, 9.0]))
+    noise = gtsam.noiseModel.Isotropic.Sigma(2, 0.1)
+    graph.push_back(gtsam.BearingRangeFactor2D(key("b7"), corner, gtsam.Rot2.atan2(1, 2), np.hypot(1, 2), noise))
+    links = [link(robots, *ends) for ends in (("a3", "b5"), ("a30", "b28"), ("b10", "a12"))]
+    found = merge(graph, values, links, RADIUS, closures=slots)
+    assert [joining.maps for joining in found.order] == [("a", "b")]
+    seen = found.values.atPose2(key("b7")).transformTo(found.values.atPoint2(corner))
+    np.testing.assert_allclose(seen, [2.0, 1.0], atol=0.05)
+    assert not found.values.exists(lone)
+    assert len(found.closures) == len(slots) + len(links)
+
+
+def test_a_variable_that_is_no_pose_and_no_point_is_refused(robots):
+    graph, values = together(robots, {letter: FRAMES[letter] for letter in "ab"})
+    scale = gtsam.symbol("s", 0)
+    values.insert(scale, np.ones(5))
+    graph.push_back(gtsam.CustomFactor(gtsam.noiseModel.Unit.Create(1), [key("b3"), scale], lambda *_: np.zeros(1)))
+    with pytest.raises(InvalidGraphError, match="expected maps of poses and points to merge, got another variable, s0"):
+        merge(graph, values, [link(robots, "a3", "b5")], RADIUS)
 
 
 @pytest.fixture

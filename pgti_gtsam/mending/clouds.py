@@ -41,11 +41,6 @@ class Clouds:
     def __contains__(self, key: object) -> bool:
         return key in self.scans or key in self.files
 
-    @property
-    def keys(self) -> set[int]:
-        """Keys of the keyframes that have points."""
-        return {*self.scans, *self.files}
-
     def points(self, key: int) -> Points:
         """Finite points of a keyframe, (n, 2) of a laser scanner of one plane and (n, 3) otherwise, m.
 
