@@ -145,25 +145,33 @@ class GrownMap:
         if set(steps) != new:
             return None
 
-        # where it leads, and what it gathers
-        n, turn = len(self.optimum), self.units.levelling
-        places, ends, poses = dict(self.places), dict(self.ends), list(self.tail.poses)
-        roots, gathered = self.tail.roots.tolist(), list(self.tail.gathered)
+        # keyframe by keyframe
+        grown: GrownMap | None = self
         for key in sorted(steps):
-            before, measured = steps[key]
-            if ends.get(_robot(key)) != before or isinstance(measured, gtsam.Pose2) is not self.units.is_planar:
-                return None
-            step, place = turn.inverse().compose(measured).compose(turn), places[before]
-            start = self.pose(place) if place < n else poses[place - n]
-            root, so_far = (place, 0.0) if place < n else (roots[place - n], gathered[place - n])
-            end = start.compose(step)
-            carry = self.pose(root).between(end).AdjointMap()
-            gathered.append(so_far + carry @ np.diag(self._variances(step)) @ carry.T)
-            roots.append(root)
-            poses.append(end)
-            ends[_robot(key)], places[key] = key, n + len(poses) - 1
-        tail = Tail(poses=tuple(poses), roots=np.array(roots, dtype=np.int64), gathered=np.array(gathered))
-        return replace(self, tail=tail, places=places, ends=ends) if new else self
+            grown = None if grown is None else grown._appended(key, *steps[key])
+        return grown
+
+    def _appended(self, key: int, before: int, measured: Any) -> GrownMap | None:
+        """The map with a keyframe that a step ties to another, if this is the latest of its robot; else None."""
+        if self.ends.get(_robot(key)) != before or isinstance(measured, gtsam.Pose2) is not self.units.is_planar:
+            return None
+        n, turn, place, tail = len(self.optimum), self.units.levelling, self.places[before], self.tail
+        step = turn.inverse().compose(measured).compose(turn)
+        end = self.pose(place).compose(step)
+
+        # what it hangs on, and what the steps since gather
+        root = place if place < n else int(tail.roots[place - n])
+        carry = self.pose(root).between(end).AdjointMap()
+        gathered = carry @ np.diag(self._variances(step)) @ carry.T
+        if place >= n:
+            gathered += tail.gathered[place - n]
+        tail = Tail(
+            poses=(*tail.poses, end),
+            roots=np.append(tail.roots, root),
+            gathered=np.concatenate([tail.gathered, gathered[None]]),
+        )
+        places = self.places | {key: n + len(tail.poses) - 1}
+        return replace(self, tail=tail, places=places, ends={**self.ends, _robot(key): key})
 
     def offered(self, closure: gtsam.NonlinearFactorGraph) -> Ties | None:
         """A closure as a tie; None for no tie, or several."""
