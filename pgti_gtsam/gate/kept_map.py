@@ -10,7 +10,7 @@ import gtsam
 import numpy as np
 
 from pgti_gtsam.errors import InvalidOptionError, MissingValueError, UnsolvableGraphError
-from pgti_gtsam.factor_graphs import checked_closure, factors_of, joined, keys_of, slots_of
+from pgti_gtsam.factor_graphs import BETWEEN, checked_closure, factors_of, joined, keys_of, slots_of
 from pgti_gtsam.gate.decision import ClosureDecision
 from pgti_gtsam.gate.gate import LoopClosureGate
 from pgti_gtsam.gate.grown_map import GrownMap
@@ -28,12 +28,6 @@ class WholeMap(Protocol):
 
     def calculateEstimate(self) -> gtsam.Values:
         """The estimate of all variables."""
-
-    def calculateEstimatePose2(self, key: int) -> gtsam.Pose2:
-        """The estimate of a keyframe in the plane."""
-
-    def calculateEstimatePose3(self, key: int) -> gtsam.Pose3:
-        """The estimate of a keyframe in space."""
 
 
 class News(NamedTuple):
@@ -167,7 +161,7 @@ class KeptMap:
         closures: Sequence[gtsam.NonlinearFactorGraph],
     ) -> Judged:
         grown = self._grown(new) if len(closures) == 1 and not gate.options.scores else None
-        checked = None if grown is None else _checked_between(grown, closures[0], new)
+        checked = None if grown is None else _checked_between(grown, closures[0])
         foreseen = None if grown is None or checked is None else gate.foreseen(grown, checked)
         if foreseen is not None and not (waiting and foreseen[0].accepted):
             decision, tied = foreseen
@@ -266,16 +260,14 @@ def _judged_anew(
     return Judged(decisions=decisions[len(waiting) :], waiting=verdicts, map=grown)
 
 
-def _checked_between(
-    grown: GrownMap, closure: gtsam.NonlinearFactorGraph, new: News
-) -> gtsam.NonlinearFactorGraph | None:
-    """A closure between keyframes of the kept map, checked at their values; None for any other closure."""
-    keys = {key for factor in factors_of(closure) for key in keys_of(factor)}
-    if not all(key in grown.places for key in keys):
+def _checked_between(grown: GrownMap, closure: gtsam.NonlinearFactorGraph) -> gtsam.NonlinearFactorGraph | None:
+    """A closure between keyframes of the kept map, checked at their poses there; None for any other closure."""
+    factors, kind = factors_of(closure), gtsam.Pose2 if grown.units.is_planar else gtsam.Pose3
+    if not all(isinstance(factor, BETWEEN) and isinstance(factor.measured(), kind) for factor in factors):
         return None
-    kind, own = "Pose2" if grown.units.is_planar else "Pose3", gtsam.Values()
+    keys, own = {key for factor in factors for key in keys_of(factor)}, gtsam.Values()
+    if not keys <= grown.places.keys():
+        return None
     for key in keys:
-        is_new = new.values.exists(key)
-        at = getattr(new.values, f"at{kind}") if is_new else getattr(new.map, f"calculateEstimate{kind}")
-        own.insert(key, at(key))
+        own.insert(key, grown.pose(grown.places[key]))
     return checked_closure(closure, own)

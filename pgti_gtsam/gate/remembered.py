@@ -94,17 +94,6 @@ class Remembered:
         values.insert(self.smoother.calculateEstimate())
         return values
 
-    def calculateEstimatePose2(self, key: int) -> gtsam.Pose2:
-        """The estimate of a keyframe in the plane; behind the window the last estimate."""
-        return self._at(key).atPose2(key)
-
-    def calculateEstimatePose3(self, key: int) -> gtsam.Pose3:
-        """The estimate of a keyframe in space; behind the window the last estimate."""
-        return self._at(key).atPose3(key)
-
-    def _at(self, key: int) -> gtsam.Values:
-        return self.behind if self.behind.exists(key) else self.smoother.calculateEstimate([key])
-
     def leaving(self, values: gtsam.Values, timestamps: Mapping[int, float]) -> gtsam.Values:
         """The variables that leave the window in the next step, with their estimates before the step.
 
