@@ -1,11 +1,13 @@
 """Chosen blocks of an inverse, compared with the whole dense inverse."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pgti_gtsam.spectral.block_inverse import factorise, own_products, products, solve
+from pgti_gtsam.spectral.block_inverse import HalfProducts, factorise, own_products, products, solve
 from pgti_gtsam.spectral.elimination_tree import analyse
 
 
@@ -36,6 +38,14 @@ def test_blocks_and_solutions_are_those_of_the_dense_inverse(n, m, d, seed):
     np.testing.assert_allclose(whole, rows @ inverse @ rows.T, atol=1e-12)
     own = whole.reshape(len(ends), d, len(ends), d)[np.arange(len(ends)), :, np.arange(len(ends))]
     np.testing.assert_allclose(own_products(factor, ends, jacobians), own, atol=1e-12)
+
+    # the same in parts, one after the other
+    halves, cuts = HalfProducts.none(factor), [0, *np.sort(rng.integers(0, len(ends) + 1, 2)).tolist(), len(ends)]
+    for first, last in pairwise(cuts):
+        halves, across, own = halves.extended(ends[first:last], jacobians[first:last])
+        np.testing.assert_allclose(across, whole[: first * d, first * d : last * d], atol=1e-12)
+        np.testing.assert_allclose(own, whole[first * d : last * d, first * d : last * d], atol=1e-12)
+    assert halves.n_pairs == len(ends)
     b = rng.normal(size=(n, d))
     np.testing.assert_allclose(solve(factor, b).ravel(), inverse @ b.ravel(), atol=1e-12)
 

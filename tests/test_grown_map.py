@@ -84,6 +84,27 @@ def test_a_grown_map_predicts_what_the_map_made_anew_does(world, first):
             assert length == pytest.approx(other, abs=0.1 * np.sqrt(own.max()))
 
 
+def test_closures_that_are_known_one_by_one_predict_as_all_at_once(world):
+    """The law: conditioning on closures one after the other is conditioning on all: e_g − P_gc (R + P_cc)⁻¹ e_c."""
+    first, last = LAP + 10, LAP + 80
+    start = GrownMap.of(GATE.reference_map(*part(world, first), RADIUS)).grown(*news(world, first, last))
+    closures = [world.closure(4, LAP + 4), world.closure(20, LAP + 21), world.closure(30, LAP + 70)]
+    offered = start.offered(world.closure(12, LAP + 60))
+    grown = start
+    for closure in closures:
+        grown = grown.tied_by(closure)
+    one_by_one = grown.predicted(offered)
+    ties = reduce(Ties.joined, [*(start.offered(closure) for closure in closures), offered])
+    together, k = start.predicted(ties), ties.variances[:-1].size
+    known = together.spread[:k, :k] + np.diag(ties.variances[:-1].ravel())
+    gain = np.linalg.solve(known, together.spread[:k, k:]).T
+    missed = together.missed.ravel()
+    np.testing.assert_allclose(one_by_one.missed.ravel(), missed[k:] - gain @ missed[:k], atol=1e-9)
+    expected = together.spread[k:, k:] - gain @ together.spread[:k, k:]
+    np.testing.assert_allclose(one_by_one.spread, expected, rtol=1e-6, atol=1e-9)
+    assert np.linalg.norm(gain) > 0.1
+
+
 @pytest.mark.parametrize(("i", "j", "measured"), [(8, LAP + 8, None), (20, LAP, "nowhere"), (LAP + 40, 100, "nowhere")])
 def test_what_is_foreseen_is_what_the_gate_decides(world, i, j, measured):
     nowhere = type(world.truth[0])() if measured else None

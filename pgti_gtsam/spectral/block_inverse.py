@@ -175,10 +175,10 @@ class HalfProducts:
             weighted = self.factor.inverses[k] @ z
             own += z.T @ weighted
             passing, entries = self.columns.get(k, (new[:0], weighted[:, :0]))
-            across[passing] += (entries.T @ z).reshape(-1, d, g * d)
+            across[passing] += (entries.T @ z).reshape(len(passing), d, g * d)
             columns[k] = np.append(passing, new), np.hstack([entries, weighted])
         extended = HalfProducts(factor=self.factor, n_pairs=self.n_pairs + g, columns=columns)
-        return extended, across.reshape(-1, g * d), own
+        return extended, across.reshape(self.n_pairs * d, g * d), own
 
 
 def own_products(factor: BlockFactor, ends: IntArray, jacobians: FloatArray) -> FloatArray:
