@@ -38,6 +38,7 @@ def from_gtsam(
     edges: Collection[str] | None = None,
     min_shared_landmarks: int | None = None,
     closures: Collection[int] | None = None,
+    information: bool = True,
 ) -> PoseGraph:
     """Adapt a factor graph into a pose graph. Graph and values stay untouched.
 
@@ -66,6 +67,8 @@ def from_gtsam(
     closures : collection of int, optional
         Slots of the loop closures: every other factor between keyframes is odometry. Without, `track.roles` tells
         them apart.
+    information : bool
+        Whether noise models are read, for `edge_information`.
 
     Returns
     -------
@@ -93,7 +96,7 @@ def from_gtsam(
         whole(min_shared_landmarks, "min_shared_landmarks", least=1)
     closing = None if closures is None else slots(closures, "closures")
     chosen = None if edges is None else checked_sources(edges)
-    reader = FactorReader(read_keyframes(values))
+    reader = FactorReader(read_keyframes(values), reads_noise=information)
     reader.read(graph)
     keyframes, sightings = reader.keyframes, reader.sightings()
     between = np.array([row[:2] for row in reader.between], dtype=np.int64).reshape(-1, 2)

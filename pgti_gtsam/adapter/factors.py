@@ -54,6 +54,8 @@ class FactorReader:
 
     Attributes
     ----------
+    reads_noise : bool
+        Whether information matrices are read.
     between : list of Between
     held : set of int
         Keyframes that a factor of another family ties to something.
@@ -61,6 +63,7 @@ class FactorReader:
     """
 
     keyframes: Keyframes
+    reads_noise: bool = True
     between: list[Between] = field(default_factory=list)
     held: set[int] = field(default_factory=set)
     counts: dict[Family, Counter[str]] = field(default_factory=lambda: {f: Counter() for f in Family})
@@ -113,7 +116,7 @@ class FactorReader:
             return
         measured = factor.measured() if hasattr(factor, "measured") else None
         pose = measured_from(factor, int(self.keyframes.keys[min(i, j)]))
-        information = _information(factor)
+        information = _information(factor) if self.reads_noise else None
         if i > j:
             information = _reversed(information, measured)
             i, j = j, i

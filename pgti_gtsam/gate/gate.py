@@ -90,6 +90,7 @@ class LoopClosureGate:
             edges=options.edges,
             min_shared_landmarks=options.min_shared_landmarks,
             closures=closures,
+            information=False,
         )
 
     def reference_map(

@@ -121,10 +121,11 @@ def ties_of(graph: gtsam.NonlinearFactorGraph, pose_graph: PoseGraph, poses: Seq
     planar = isinstance(poses[0], gtsam.Pose2)
     keys = pose_graph.keys.tolist()
     rows: list[tuple[tuple[int, int], Any, Array, int, float]] = []
-    known = zip(pose_graph.edges.tolist(), pose_graph.edge_sources.tolist(), pose_graph.edge_slots, strict=True)
+    held = np.flatnonzero(pose_graph.edge_sources & HOLDING)
+    own_slots = [pose_graph.edge_slots[k] for k in held.tolist()]
+    known = zip(pose_graph.edges[held].tolist(), pose_graph.edge_sources[held].tolist(), own_slots, strict=True)
+    tolerance = variances_of(OFFSET * unit, OFFSET_RAD, is_planar=planar)
     for (i, j), source, slots in known:
-        if not source & HOLDING:
-            continue
         is_skip = bool(source & SKIP)
         measured = [(measured_from(graph.at(slot), keys[i]), -1 if is_skip else slot) for slot in slots]
         found = [(_alike(z, planar), slot) for z, slot in measured if z is not None]
@@ -136,7 +137,6 @@ def ties_of(graph: gtsam.NonlinearFactorGraph, pose_graph: PoseGraph, poses: Seq
             continue
 
         # a closure, or what both keyframes see, holds as well as a match
-        tolerance = variances_of(OFFSET * unit, OFFSET_RAD, is_planar=planar)
         for z, slot in found or [(poses[i].between(poses[j]), -1)]:
             rows.append(((i, j), z, tolerance, slot, 0.0))
     return Ties(
