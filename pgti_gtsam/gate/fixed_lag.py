@@ -123,11 +123,11 @@ class GatedFixedLagSmoother(GatedSmoother):
 
         Raises
         ------
-        InvalidGraphError, PgtiError
-            As of `saved.decoded` and of `LoopClosureGate.reference_map`.
+        InvalidGraphError
+            As of `saved.decoded`.
         """
         gate = LoopClosureGate() if gate is None else gate
-        parts = decoded(state, [kind.__name__ for kind in KINDS], gate)
+        parts = decoded(state, [kind.__name__ for kind in KINDS])
         remembered = Remembered.resumed(state["smoother"], parts.graph, parameters)
         found = cls(remembered.smoother, gate, parts.radii)
         found._remembered, found._offers, found._kept = remembered, parts.offers, parts.kept

@@ -58,9 +58,6 @@ class GrownMap:
 
     Attributes
     ----------
-    graph : gtsam.NonlinearFactorGraph
-    values : gtsam.Values
-        What the reference map was read from.
     optimum : KeptOptimum
         Of the reference map.
     way_m : (n,) float or None
@@ -74,8 +71,6 @@ class GrownMap:
         Closures that passed since.
     """
 
-    graph: gtsam.NonlinearFactorGraph
-    values: gtsam.Values
     optimum: KeptOptimum
     way_m: Array | None
     tail: Tail
@@ -89,13 +84,11 @@ class GrownMap:
         units, keys, track = reference.settled.model.units, reference.pose_graph.keys.tolist(), reference.track
         d, optimum = len(units.spread), KeptOptimum.of(reference.settled)
         return cls(
-            graph=reference.graph,
-            values=reference.keyframes.values,
             optimum=optimum,
             way_m=track.way_m if track.order[-1] == len(keys) - 1 else None,
             tail=Tail(poses=(), roots=np.empty(0, dtype=np.int64), gathered=np.empty((0, d, d))),
             places={key: place for place, key in enumerate(keys)},
-            ends={_robot(key): key for key in keys},
+            ends={robot_of(key): key for key in keys},
             known=KnownClosures.none(optimum.factor, units),
         )
 
@@ -153,7 +146,7 @@ class GrownMap:
 
     def _appended(self, key: int, before: int, measured: Any) -> GrownMap | None:
         """The map with a keyframe that a step ties to another, if this is the latest of its robot; else None."""
-        if self.ends.get(_robot(key)) != before or isinstance(measured, gtsam.Pose2) is not self.units.is_planar:
+        if self.ends.get(robot_of(key)) != before or isinstance(measured, gtsam.Pose2) is not self.units.is_planar:
             return None
         n, turn, place, tail = len(self.optimum), self.units.levelling, self.places[before], self.tail
         step = turn.inverse().compose(measured).compose(turn)
@@ -171,7 +164,7 @@ class GrownMap:
             gathered=np.concatenate([tail.gathered, gathered[None]]),
         )
         places = self.places | {key: n + len(tail.poses) - 1}
-        return replace(self, tail=tail, places=places, ends={**self.ends, _robot(key): key})
+        return replace(self, tail=tail, places=places, ends={**self.ends, robot_of(key): key})
 
     def offered(self, closure: gtsam.NonlinearFactorGraph) -> Ties | None:
         """A closure as a tie; None for no tie, or several."""
@@ -340,5 +333,6 @@ def _same(ties: Ties, offered: Ties, k: int) -> NDArray[np.int64]:
     return rows[[ties.measured[row].equals(offered.measured[k], ROUNDING) for row in rows.tolist()]]
 
 
-def _robot(key: int) -> int:
+def robot_of(key: int) -> int:
+    """The robot of a keyframe: the first byte of the key."""
     return key >> 56

@@ -76,12 +76,12 @@ class GatedISAM2(GatedSmoother):
 
         Raises
         ------
-        InvalidGraphError, PgtiError
-            As of `saved.decoded` and of `LoopClosureGate.reference_map`.
+        InvalidGraphError
+            As of `saved.decoded`.
         """
         gate = LoopClosureGate() if gate is None else gate
         parameters = gtsam.ISAM2Params() if parameters is None else parameters
-        parts = decoded(state, [KIND], gate, reuses_slots=parameters.findUnusedFactorSlots)
+        parts = decoded(state, [KIND], reuses_slots=parameters.findUnusedFactorSlots)
         slots = [parts.graph.at(slot) for slot in range(parts.graph.size())]
         found = cls(smoother_of(slots, values_from(state["smoother"]["values"]), parameters), gate, parts.radii)
         found._offers, found._kept = parts.offers, parts.kept

@@ -6,14 +6,13 @@ stay with the process.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
+from pgti_gtsam.gate.pose_rows import pose_of, rows_of
 from pgti_gtsam.gate.settled import Settled
 from pgti_gtsam.gate.ties import OFFSET, OFFSET_RAD, Ties
 from pgti_gtsam.gate.units import Units
@@ -30,7 +29,7 @@ class KeptOptimum:
     ----------
     units : Units
     poses : (n, p) float
-        Of every keyframe x, y and heading in the plane, the rows of its homogeneous matrix in space.
+        Of the keyframes, as `pose_rows` has poses.
     component : (n,) int
         Connected part of every keyframe.
     factor : BlockFactor
@@ -38,7 +37,7 @@ class KeptOptimum:
     pairs : (c, 2) int
         Keyframes i < j of the map's own closures.
     measured : (c, p) float
-        Pose of j seen from i, like the poses.
+        Pose of j seen from i, likewise.
     """
 
     units: Units
@@ -51,14 +50,15 @@ class KeptOptimum:
     @classmethod
     def of(cls, settled: Settled) -> KeptOptimum:
         """The same optimum in arrays, after the last linear step."""
-        closures = settled.model.ties.only(settled.model.ties.slots >= 0)
+        closures, units = settled.model.ties.only(settled.model.ties.slots >= 0), settled.model.units
+        poses = (pose.retract(step) for pose, step in zip(settled.poses, settled.steps, strict=True))
         return cls(
-            units=settled.model.units,
-            poses=_rows([pose.retract(step) for pose, step in zip(settled.poses, settled.steps, strict=True)]),
+            units=units,
+            poses=rows_of(poses, is_planar=units.is_planar),
             component=settled.component,
             factor=settled.factor,
             pairs=closures.pairs,
-            measured=_rows(closures.measured),
+            measured=rows_of(closures.measured, is_planar=units.is_planar),
         )
 
     def __len__(self) -> int:
@@ -67,27 +67,15 @@ class KeptOptimum:
 
     def pose(self, keyframe: int) -> Any:
         """A keyframe's gtsam.Pose2 or gtsam.Pose3."""
-        return self._pose(self.poses[keyframe])
+        return pose_of(self.poses[keyframe])
 
     def closures_between(self, pairs: NDArray[np.int64]) -> Ties:
         """The map's own closures between some pairs of keyframes."""
         own = np.flatnonzero((self.pairs[:, None] == pairs[None]).all(axis=2).any(axis=1))
         return Ties(
             pairs=self.pairs[own],
-            measured=tuple(self._pose(row) for row in self.measured[own]),
+            measured=tuple(pose_of(row) for row in self.measured[own]),
             variances=np.tile(self.units.variances(OFFSET, OFFSET_RAD), (len(own), 1)),
             slots=own,
             drifts=np.zeros(len(own)),
         )
-
-    def _pose(self, row: Array) -> Any:
-        return gtsam.Pose2(*row) if self.units.is_planar else gtsam.Pose3(row.reshape(4, 4))
-
-
-def _rows(poses: Sequence[Any]) -> Array:
-    return np.array(
-        [
-            (pose.x(), pose.y(), pose.theta()) if isinstance(pose, gtsam.Pose2) else pose.matrix().ravel()
-            for pose in poses
-        ]
-    )

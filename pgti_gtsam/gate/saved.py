@@ -1,32 +1,39 @@
 """A gated smoother written down: factors, closures and radii, and the map kept between closures.
 
 Factors and values are GTSAM's own text archives, which hold every number exactly; all else is JSON. Smoothers
-themselves have no archive: a smoother is made anew from its factors, linearised where it was. The kept map's reference
-is settled anew from the factors and the estimate at that time, so that the next verdicts equal those of a run without a
-break.
+themselves have no archive: a smoother is made anew from its factors, linearised where it was. The kept map is
+written as the arrays that predictions need, so that the next verdicts equal those of a run without a break.
 """
 
 from __future__ import annotations
 
+import base64
+import io
 import json
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
 import gtsam
 import numpy as np
+from numpy.typing import NDArray
 
 from pgti_gtsam.errors import FileFormatError, InvalidGraphError
 from pgti_gtsam.factor_graphs import factors_of, graph_of, slots_of
-from pgti_gtsam.gate.gate import LoopClosureGate
-from pgti_gtsam.gate.grown_map import GrownMap, Tail
+from pgti_gtsam.gate.grown_map import GrownMap, Tail, robot_of
 from pgti_gtsam.gate.history import Offer
 from pgti_gtsam.gate.kept_map import KeptMap, Standing
-from pgti_gtsam.gate.ties import Ties
+from pgti_gtsam.gate.kept_optimum import KeptOptimum
+from pgti_gtsam.gate.known_closures import KnownClosures
+from pgti_gtsam.gate.pose_rows import pose_of, rows_of
+from pgti_gtsam.gate.ties import closures_of
+from pgti_gtsam.gate.units import Units
 from pgti_gtsam.pose_graph import Radii
+from pgti_gtsam.spectral.block_inverse import BlockFactor
+from pgti_gtsam.spectral.elimination_tree import EliminationTree
 
-SCHEMA, VERSION = "pgti-gtsam/gate-state", 2
+SCHEMA, VERSION = "pgti-gtsam/gate-state", 3
 
 State = dict[str, Any]
 
@@ -80,7 +87,7 @@ def encoded(parts: Parts, smoother: State) -> State:
     }
 
 
-def decoded(state: State, kinds: Collection[str], gate: LoopClosureGate, *, reuses_slots: bool = False) -> Parts:
+def decoded(state: State, kinds: Collection[str], *, reuses_slots: bool = False) -> Parts:
     """The parts of a state.
 
     Parameters
@@ -88,7 +95,6 @@ def decoded(state: State, kinds: Collection[str], gate: LoopClosureGate, *, reus
     state : State
     kinds : collection of str
         Of smoothers whose states are expected.
-    gate : LoopClosureGate
     reuses_slots : bool
         Whether new factors take the map's empty slots.
 
@@ -120,7 +126,7 @@ def decoded(state: State, kinds: Collection[str], gate: LoopClosureGate, *, reus
         radii=radii,
         offers=offers,
         kept=KeptMap(
-            map=None if kept["map"] is None else _decoded_map(kept["map"], gate, radii),
+            map=None if kept["map"] is None else _decoded_map(kept["map"]),
             news=[(graph_from(factors), values_from(values)) for factors, values in kept["news"]],
             standing=Standing.of(graph, reuses_slots=reuses_slots),
         ),
@@ -185,64 +191,64 @@ def placed_in(
     return graph_of(graph.at(place) if place >= 0 else apart.at(-1 - place) for place in places)
 
 
-def _encoded_map(grown: GrownMap) -> State:
-    # what the reference map was made of, and the keyframes since
-    state: State = {
-        "factors": archive_of(grown.graph),
-        "values": grown.values.serialize(),
-        "keys": list(grown.places)[len(grown.optimum) :],
-        "ends": [[robot, key] for robot, key in grown.ends.items()],
-    }
+def _encoded_map(grown: GrownMap) -> str:
+    """All arrays of a kept map, compressed, as text."""
+    # the reference map's optimum
+    optimum, units, tail, ties = grown.optimum, grown.units, grown.tail, grown.closures
+    planar, factor = units.is_planar, grown.optimum.factor
+    arrays: dict[str, Any] = {f"tree_{name}": getattr(factor.tree, name) for name in _TREE}
+    arrays |= {name: getattr(optimum, name) for name in ("poses", "component", "pairs", "measured")}
+    arrays |= {name: getattr(units, name) for name in ("unit_m", "tilt", "spread")}
+    arrays["levelling"] = rows_of([units.levelling], is_planar=planar)
+    for name in ("inverses", "couplings"):
+        arrays[name] = np.concatenate([block.ravel() for block in getattr(factor, name)])
+    if grown.way_m is not None:
+        arrays["way_m"] = grown.way_m
 
-    # where these are, and the closures since
-    tail, ties = grown.tail, grown.closures
-    state["tail"] = {
-        "poses": _archived_poses(tail.poses),
-        "roots": tail.roots.tolist(),
-        "gathered": tail.gathered.tolist(),
-    }
-    state["closures"] = {
-        "pairs": ties.pairs.tolist(),
-        "measured": _archived_poses(ties.measured),
-        "variances": ties.variances.tolist(),
-        "slots": ties.slots.tolist(),
-        "drifts": ties.drifts.tolist(),
-    }
-    return state
+    # the keyframes and the closures since
+    arrays["keys"] = np.array(list(grown.places), dtype=np.uint64)
+    arrays["ends"] = np.array(list(grown.ends.values()), dtype=np.uint64)
+    arrays |= {"tail": rows_of(tail.poses, is_planar=planar), "roots": tail.roots, "gathered": tail.gathered}
+    arrays |= {"closures": ties.pairs, "closures_measured": rows_of(ties.measured, is_planar=planar)}
+    packed = io.BytesIO()
+    np.savez_compressed(packed, **arrays)
+    return base64.b64encode(packed.getvalue()).decode("ascii")
 
 
-def _decoded_map(state: State, gate: LoopClosureGate, radii: Radii | None) -> GrownMap:
-    # the reference map, settled anew
-    values = values_from(state["values"])
-    if isinstance(radii, Mapping):
-        radii = {key: radius for key, radius in radii.items() if values.exists(key)}
-    grown = GrownMap.of(gate.reference_map(graph_from(state["factors"]), values, radii))
-
-    # the keyframes since
-    units, n = grown.units, len(grown.optimum)
-    d, is_planar, tail, ties = len(units.spread), units.is_planar, state["tail"], state["closures"]
-    grown = replace(
-        grown,
-        tail=Tail(
-            poses=_poses(tail["poses"], is_planar=is_planar),
-            roots=np.array(tail["roots"], dtype=np.int64),
-            gathered=np.array(tail["gathered"]).reshape(-1, d, d),
-        ),
-        places=grown.places | {key: n + k for k, key in enumerate(state["keys"])},
-        ends=dict(state["ends"]),
+def _decoded_map(text: str) -> GrownMap:
+    # the reference map's optimum
+    with np.load(io.BytesIO(base64.b64decode(text)), allow_pickle=False) as packed:
+        arrays = dict(packed)
+    units = Units(
+        unit_m=float(arrays["unit_m"]),
+        levelling=pose_of(arrays["levelling"][0]),
+        tilt=float(arrays["tilt"]),
+        spread=arrays["spread"],
+    )
+    tree = EliminationTree(**{name: arrays[f"tree_{name}"] for name in _TREE})
+    factor = BlockFactor.of(tree, len(units.spread), arrays["inverses"], arrays["couplings"])
+    own = {name: arrays[name] for name in ("poses", "component", "pairs", "measured")}
+    grown = GrownMap(
+        optimum=KeptOptimum(units=units, factor=factor, **own),
+        way_m=arrays.get("way_m"),
+        tail=Tail(poses=_poses(arrays["tail"]), roots=arrays["roots"], gathered=arrays["gathered"]),
+        places={key: place for place, key in enumerate(arrays["keys"].tolist())},
+        ends={robot_of(key): key for key in arrays["ends"].tolist()},
+        known=KnownClosures.none(factor, units),
     )
 
     # the closures since, one by one as they came
-    closures = Ties(
-        pairs=np.array(ties["pairs"], dtype=np.int64).reshape(-1, 2),
-        measured=_poses(ties["measured"], is_planar=is_planar),
-        variances=np.array(ties["variances"]).reshape(-1, d),
-        slots=np.array(ties["slots"], dtype=np.int64),
-        drifts=np.array(ties["drifts"], dtype=float),
-    )
-    for own in np.eye(len(closures.pairs), dtype=bool):
-        grown = replace(grown, known=grown.known.with_predicted(grown.predicted(closures.only(own))))
+    for (i, j), row in zip(arrays["closures"].tolist(), arrays["closures_measured"], strict=True):
+        tie = replace(closures_of([(i, j, pose_of(row))], units), measured=(pose_of(row),))  # which is level already
+        grown = replace(grown, known=grown.known.with_predicted(grown.predicted(tie)))
     return grown
+
+
+_TREE = tuple(field.name for field in fields(EliminationTree))
+
+
+def _poses(rows: NDArray[np.float64]) -> tuple[Any, ...]:
+    return tuple(pose_of(row) for row in rows)
 
 
 def archive_of(graph: gtsam.NonlinearFactorGraph) -> str:
@@ -267,16 +273,3 @@ def values_from(archive: str) -> gtsam.Values:
     values = gtsam.Values()
     values.deserialize(archive)
     return values
-
-
-def _archived_poses(poses: Sequence[Any]) -> str:
-    values = gtsam.Values()
-    for k, pose in enumerate(poses):
-        values.insert(k, pose)
-    return str(values.serialize())
-
-
-def _poses(archive: str, *, is_planar: bool) -> tuple[Any, ...]:
-    values = values_from(archive)
-    at = values.atPose2 if is_planar else values.atPose3
-    return tuple(at(k) for k in range(values.size()))

@@ -40,6 +40,24 @@ class BlockFactor:
     inverses: list[FloatArray]
     couplings: list[FloatArray]
 
+    @classmethod
+    def of(cls, tree: EliminationTree, size: int, inverses: FloatArray, couplings: FloatArray) -> BlockFactor:
+        """A factor whose matrices lie one behind the other in two arrays, which leave no gaps in memory when they go.
+
+        Parameters
+        ----------
+        tree : EliminationTree
+        size : int
+        inverses, couplings : (total,) float
+        """
+        wide, high = size * tree.widths, size * tree.heights
+        found = []
+        for entries, columns in ((inverses, wide), (couplings, high)):
+            parts = np.split(entries, np.cumsum(wide * columns)[:-1])
+            shapes = zip(wide.tolist(), columns.tolist(), strict=True)
+            found.append([part.reshape(shape) for part, shape in zip(parts, shapes, strict=True)])
+        return cls(tree=tree, size=size, inverses=found[0], couplings=found[1])
+
 
 @np.errstate(invalid="ignore", over="ignore")
 def factorise(tree: EliminationTree, diagonal: FloatArray, pairs: IntArray, blocks: FloatArray) -> BlockFactor:
@@ -87,13 +105,7 @@ def factorise(tree: EliminationTree, diagonal: FloatArray, pairs: IntArray, bloc
             above[np.ix_(into, into)] += _blocks(flat[cut:, cut:] - flat[cut:, :cut] @ coupling, d)
         inverses.append(inverse)
         couplings.append(coupling)
-    return BlockFactor(tree=tree, size=d, inverses=_side_by_side(inverses), couplings=_side_by_side(couplings))
-
-
-def _side_by_side(blocks: list[FloatArray]) -> list[FloatArray]:
-    """The same matrices in one array, which leaves no gaps in memory when it goes."""
-    whole, ends = np.concatenate([block.ravel() for block in blocks]), np.cumsum([block.size for block in blocks])
-    return [part.reshape(block.shape) for part, block in zip(np.split(whole, ends[:-1]), blocks, strict=True)]
+    return BlockFactor.of(tree, d, *(np.concatenate([block.ravel() for block in own]) for own in (inverses, couplings)))
 
 
 def solve(factor: BlockFactor, b: FloatArray) -> FloatArray:
