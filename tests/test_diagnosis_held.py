@@ -67,16 +67,17 @@ def test_nothing_holds_two_parts_to_each_other():
 
 
 def test_what_neighbours_on_the_track_see_in_common_is_counted_once():
+    """Neighbours are five radii of way apart at most: here eight keyframes."""
     both = EdgeSource.COVISIBILITY | EdgeSource.ODOMETRY
-    seen = [(i, j) for i in range(N) for j in range(i + 2, min(i + 5, N))]
-    edges = np.array([*STEPS.tolist(), *seen, (0, 28)])
+    seen = [(i, j) for i in range(N) for j in range(i + 2, min(i + 9, N))]
+    edges = np.array([*STEPS.tolist(), *seen, (0, 9), (0, 28)])
     pose_graph = pgti.PoseGraph(
         keys=np.arange(N, dtype=np.uint64),
-        positions=np.column_stack([np.arange(N), np.zeros(N), np.zeros(N)]).astype(float),
+        positions=np.column_stack([0.625 * np.arange(N), np.zeros(N), np.zeros(N)]),
         edges=edges,
         radii=np.ones(N),
-        edge_sources=np.array([both] * len(STEPS) + [EdgeSource.COVISIBILITY] * (len(seen) + 1), dtype=np.uint8),
+        edge_sources=np.array([both] * len(STEPS) + [EdgeSource.COVISIBILITY] * (len(seen) + 2), dtype=np.uint8),
     )
     kept = counted_once(pose_graph)
-    assert kept.edges.tolist() == sorted([*STEPS.tolist(), [0, 28]])
-    assert len(kept.edge_slots) == len(kept.edge_sources) == N
+    assert kept.edges.tolist() == sorted([*STEPS.tolist(), [0, 9], [0, 28]])
+    assert len(kept.edge_slots) == len(kept.edge_sources) == N + 1

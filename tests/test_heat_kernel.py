@@ -7,8 +7,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import expm
 
-from pgti_gtsam.spectral.dense_kernel import dense_heat_kernel
+from pgti_gtsam.spectral.dense_kernel import DenseHeatKernel, dense_heat_kernel
+from pgti_gtsam.spectral.heat_kernel import heat_kernels
 from pgti_gtsam.spectral.laplacian import connected_components, laplacian
+from pgti_gtsam.spectral.pole_kernel import PoleHeatKernel
 
 SETTINGS = settings(derandomize=True, deadline=None, max_examples=60)
 TIMES = np.array([0.0, 0.1, 1.0, 7.0, 100.0])
@@ -96,3 +98,10 @@ def test_a_graph_without_edges_has_components_and_no_spectrum():
     assert kernel.n_components == 3
     assert (kernel.smallest_positive, kernel.largest) == (1.0, 1.0)
     assert (kernel.diagonals(TIMES) == 1).all()
+
+
+def test_the_method_is_the_faster_one_by_the_graphs_fill():
+    """A grid of 625 vertices fills so much that eigenvectors are faster; a path of 600 hardly fills."""
+    for (n, edges, _), kind in ((closed_forms.grid(25, 25), DenseHeatKernel), (closed_forms.path(600), PoleHeatKernel)):
+        (kernel,) = heat_kernels(n, edges)
+        assert isinstance(kernel, kind)

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.linalg import expm
 
 from pgti_gtsam.spectral import low_rank
 from pgti_gtsam.spectral.dense_kernel import dense_heat_kernel
@@ -96,6 +97,26 @@ def test_local_changes_stay_within_their_bound(inserted, max_vertices):
     found[change.vertices] = change.after - change.before
     assert np.all(np.abs(found - (after - before)).max(axis=0) <= change.bound + 1e-7)
     assert change.bound.max() <= 1e-4 or max_vertices < 400
+
+
+@pytest.mark.parametrize("inserted", [[[150, 450]], [[150, 450], [151, 449]]])
+def test_the_bound_of_a_local_change_is_what_leaves_the_ball_and_what_comes_back(inserted):
+    """Dense: left + left_after √R of every inserted edge, R in the ball with a sink of 1 / (2 t) at every vertex."""
+    n, edges, _ = closed_forms.path(600)
+    inserted, times = np.array(inserted), np.geomspace(0.5, 100, 6)
+    change = local_change(laplacian(n, edges), inserted, times, max_vertices=40)
+    ball, ends = change.vertices, np.searchsorted(change.vertices, inserted)
+    block = laplacian(n, edges).toarray()[np.ix_(ball, ball)]
+    with_edges = block + laplacian(len(ball), ends).toarray()
+    left, left_after = (
+        np.array([1 - expm(-t * matrix).sum(axis=1) for t in times]).T[ends].max(axis=1)
+        for matrix in (block, with_edges)
+    )
+    signs = np.eye(len(ball))[ends[:, 0]] - np.eye(len(ball))[ends[:, 1]]
+    sink = np.eye(len(ball)) / (2 * times.max())
+    resistances = np.e * np.einsum("ka,ab,kb->k", signs, np.linalg.inv(block + sink), signs)
+    expected = np.sqrt(times / 2) * (left + left_after * np.sqrt(resistances)[:, None]).sum(axis=0)
+    np.testing.assert_allclose(change.bound, expected, rtol=1e-3, atol=1e-5)
 
 
 def test_a_local_change_does_not_depend_on_the_size_of_the_map():
