@@ -177,10 +177,11 @@ def along_a_road(n, *, in_space, is_held):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_two_false_closures_that_agree_are_judged_as_one(kind):
-    """Each is what the other predicts; all the other revisits contradict both."""
+@pytest.mark.parametrize("n_true", [0, 6])
+def test_two_false_closures_that_agree_are_judged_as_one(kind, n_true):
+    """Each is what the other predicts; the odometry and all the other revisits contradict both."""
     for seed in SEEDS:
-        graph, _ = drawn(kind, seed, 6, is_torn=True)
+        graph, _ = drawn(kind, seed, n_true, is_torn=True)
         false = graph.at(graph.size() - 1)
         i, j = false.keys()
         ways = [graph.at(k).measured() for k in (i, j)]  # the steps that lead on from either keyframe
