@@ -129,3 +129,26 @@ def test_landmarks_of_a_real_drive_seen_again(two_passes, keyframe, association)
     closure = [seen(factor, landmark) for factor, landmark in zip(factors, labels, strict=False)]
     decision = LoopClosureGate().judge(reference, [graph_of(closure)]).decisions[0]
     assert decision.verdict == ("accepted" if association == "true" else "rejected")
+
+
+def test_a_keyframe_is_placed_from_where_its_camera_sees_the_landmarks():
+    """The keyframe that knows the points looked the other way: from its pose no search for the camera can begin."""
+    graph, values, corners = gtsam.NonlinearFactorGraph(), gtsam.Values(), [(1, 1), (1, -1), (-1, 1), (-1, -1)]
+    for k in range(12):
+        values.insert(k, gtsam.Pose3(gtsam.Rot3.Ry(np.pi if k == 2 else 0.0), [0.2 * k, 0, 0]))
+        if k:
+            step = values.atPose3(k - 1).between(values.atPose3(k))
+            graph.push_back(gtsam.BetweenFactorPose3(k - 1, k, step, gtsam.noiseModel.Isotropic.Sigma(6, 0.05)))
+    camera = gtsam.Cal3_S2(500, 500, 0, 320, 240)
+    closure = gtsam.NonlinearFactorGraph()
+    for n, (x, y) in enumerate(corners):
+        key, point, pose = gtsam.symbol("l", n), np.array([x, y, 5.0]), values.atPose3(2)
+        values.insertPoint3(key, point)
+        noise = gtsam.noiseModel.Isotropic.Sigma(3, 0.05)
+        graph.push_back(gtsam.BearingRangeFactor3D(2, key, pose.bearing(point), pose.range(point), noise))
+        pixel = gtsam.noiseModel.Isotropic.Sigma(2, 1.0)
+        seen = gtsam.PinholeCameraCal3_S2(values.atPose3(11), camera).project(point)
+        closure.push_back(gtsam.GenericProjectionFactorCal3_S2(seen, pixel, 11, key, camera, True, False))
+    decision = pgti.LoopClosureGate().evaluate(graph, values, closure, 1.0)
+    assert decision.accepted
+    assert decision.keys == (2, 11)
