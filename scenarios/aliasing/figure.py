@@ -56,4 +56,5 @@ def _curve(axis: Axes, places: Any, found: list[list[float]], label: str, style:
     there = [k for k, values in enumerate(found) if values]
     if there:
         mean, low, high = np.array([mean_and_interval(found[k]) for k in there]).T
-        axis.errorbar(places[there], mean, [mean - low, high - mean], label=label, capsize=2, elinewidth=0.6, **style)
+        style = style | {"capsize": 2, "elinewidth": 0.6, "marker": "" if len(there) > 1 else "."}
+        axis.errorbar(places[there], mean, [mean - low, high - mean], label=label, **style)
