@@ -158,7 +158,7 @@ def _drive(taker: str, n_closures: int, seed: int, take: Callable[[Step], int], 
         offered += len(step[2])
 
         # report now and then
-        if offered - reported >= max(n_closures // POINTS, 1):
+        if offered - reported >= max(n_closures // POINTS, 1) or offered >= n_closures:
             now = _busy_s(process)
             pipe.send(
                 {
