@@ -169,3 +169,14 @@ def test_the_map_is_made_anew_after_many_closures_or_when_the_tail_is_longer_tha
     assert not replace(grown, known=replace(grown.known, ties=many.only(slice(1, None)))).is_worn
     assert replace(grown, known=replace(grown.known, ties=many)).is_worn
     assert replace(grown, tail=long).is_worn
+
+
+def test_where_the_way_is_not_known_a_lone_closure_agrees_and_several_are_left_to_the_whole_map(world):
+    grown = GrownMap.of(GATE.reference_map(*part(world, LAP + 60), RADIUS))
+    one, other = (grown.offered(world.closure(i, LAP + i)) for i in (8, 9))
+    both = one.joined(other)
+    unknown = replace(grown, way_m=None)
+    assert unknown.way is None
+    assert unknown.agree(one, grown.predicted(one).missed)
+    assert not unknown.agree(both, grown.predicted(both).missed)
+    assert grown.agree(both, grown.predicted(both).missed)

@@ -113,7 +113,7 @@ def _placed(
         tried.insert(key, start)
         try:
             best = optimised(graph, tried, max_iterations=MOST_STEPS)
-        except UnsolvableGraphError:  # too few landmarks to place it, or all of them behind the camera
+        except UnsolvableGraphError:  # all landmarks lie behind the camera, say
             continue
         found.append((graph.error(best), best))
     if not found:
