@@ -172,7 +172,7 @@ class GrownMap:
         if len(factors) != 1 or not isinstance(factors[0], BETWEEN):
             return None
         first, second = sorted(keys_of(factors[0]))
-        if first == second or not {first, second} <= set(self.places):
+        if first == second or not {first, second} <= self.places.keys():
             return None
         tie = self.places[first], self.places[second], measured_from(factors[0], first)
         return closures_of([tie], self.units)
