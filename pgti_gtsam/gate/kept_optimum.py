@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from pgti_gtsam.gate.pose_rows import pose_of, rows_of
 from pgti_gtsam.gate.settled import Settled
-from pgti_gtsam.gate.ties import OFFSET, OFFSET_RAD, Ties
+from pgti_gtsam.gate.ties import Ties, level_closures
 from pgti_gtsam.gate.units import Units
 from pgti_gtsam.spectral.block_inverse import BlockFactor
 
@@ -72,10 +72,4 @@ class KeptOptimum:
     def closures_between(self, pairs: NDArray[np.int64]) -> Ties:
         """The map's own closures between some pairs of keyframes."""
         own = np.flatnonzero((self.pairs[:, None] == pairs[None]).all(axis=2).any(axis=1))
-        return Ties(
-            pairs=self.pairs[own],
-            measured=tuple(pose_of(row) for row in self.measured[own]),
-            variances=np.tile(self.units.variances(OFFSET, OFFSET_RAD), (len(own), 1)),
-            slots=own,
-            drifts=np.zeros(len(own)),
-        )
+        return level_closures(self.pairs[own], map(pose_of, self.measured[own]), self.units)

@@ -27,7 +27,7 @@ from pgti_gtsam.gate.kept_map import KeptMap, Standing
 from pgti_gtsam.gate.kept_optimum import KeptOptimum
 from pgti_gtsam.gate.known_closures import KnownClosures
 from pgti_gtsam.gate.pose_rows import pose_of, rows_of
-from pgti_gtsam.gate.ties import closures_of
+from pgti_gtsam.gate.ties import level_closures
 from pgti_gtsam.gate.units import Units
 from pgti_gtsam.pose_graph import Radii
 from pgti_gtsam.spectral.block_inverse import BlockFactor
@@ -238,8 +238,8 @@ def _decoded_map(text: str) -> GrownMap:
     )
 
     # the closures since, one by one as they came
-    for (i, j), row in zip(arrays["closures"].tolist(), arrays["closures_measured"], strict=True):
-        tie = replace(closures_of([(i, j, pose_of(row))], units), measured=(pose_of(row),))  # which is level already
+    for pair, row in zip(arrays["closures"], arrays["closures_measured"], strict=True):
+        tie = level_closures(pair[None], [pose_of(row)], units)
         grown = replace(grown, known=grown.known.with_predicted(grown.predicted(tie)))
     return grown
 

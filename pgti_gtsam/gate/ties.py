@@ -193,12 +193,25 @@ def closures_of(offered: Sequence[tuple[int, int, Any]], units: Units) -> Ties:
     units : Units
     """
     poses, turn = [_alike(z, units.is_planar) for _, _, z in offered], units.levelling
+    pairs = np.array([tie[:2] for tie in offered], dtype=np.int64).reshape(-1, 2)
+    return level_closures(pairs, [turn.inverse().compose(z).compose(turn) for z in poses], units)
+
+
+def level_closures(pairs: NDArray[np.int64], measured: Iterable[Any], units: Units) -> Ties:
+    """Closures as ties, numbered in order, whose measured poses are the model's already.
+
+    Parameters
+    ----------
+    pairs : (k, 2) int
+    measured : iterable of k gtsam.Pose2 or gtsam.Pose3
+    units : Units
+    """
     return Ties(
-        pairs=np.array([tie[:2] for tie in offered], dtype=np.int64).reshape(-1, 2),
-        measured=tuple(turn.inverse().compose(z).compose(turn) for z in poses),
-        variances=np.tile(units.variances(OFFSET, OFFSET_RAD), (len(offered), 1)),
-        slots=np.arange(len(offered)),
-        drifts=np.zeros(len(offered)),
+        pairs=pairs,
+        measured=tuple(measured),
+        variances=np.tile(units.variances(OFFSET, OFFSET_RAD), (len(pairs), 1)),
+        slots=np.arange(len(pairs)),
+        drifts=np.zeros(len(pairs)),
     )
 
 
