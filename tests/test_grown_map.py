@@ -68,7 +68,7 @@ def predicted(reference, closure):
 def test_a_grown_map_predicts_what_the_map_made_anew_does(world, first):
     last = LAP + 80
     passed = [world.closure(4, LAP + 4), world.closure(20, LAP + 21), world.closure(LAP + 30, 30)]
-    grown = GrownMap.of(GATE.reference_map(*part(world, first), RADIUS)).grown(*news(world, first, last))
+    grown = GrownMap.of(GATE.reference_map(*part(world, first), RADIUS)).grown([news(world, first, last)])
     whole = GATE.reference_map(*part(world, last, passed), RADIUS)
     for closure in passed:
         grown = grown.tied_by(closure)
@@ -87,7 +87,7 @@ def test_a_grown_map_predicts_what_the_map_made_anew_does(world, first):
 def test_closures_that_are_known_one_by_one_predict_as_all_at_once(world):
     """The law: conditioning on closures one after the other is conditioning on all: e_g − P_gc (R + P_cc)⁻¹ e_c."""
     first, last = LAP + 10, LAP + 80
-    start = GrownMap.of(GATE.reference_map(*part(world, first), RADIUS)).grown(*news(world, first, last))
+    start = GrownMap.of(GATE.reference_map(*part(world, first), RADIUS)).grown([news(world, first, last)])
     closures = [world.closure(4, LAP + 4), world.closure(20, LAP + 21), world.closure(30, LAP + 70)]
     offered = start.offered(world.closure(12, LAP + 60))
     grown = start
@@ -110,7 +110,7 @@ def test_what_is_foreseen_is_what_the_gate_decides(world, i, j, measured):
     nowhere = type(world.truth[0])() if measured else None
     closure, first, last = world.closure(i, j, nowhere), LAP - 10, LAP + 60
     passed = world.closure(4, LAP + 4)
-    grown = GrownMap.of(GATE.reference_map(*part(world, first), RADIUS)).grown(*news(world, first, last))
+    grown = GrownMap.of(GATE.reference_map(*part(world, first), RADIUS)).grown([news(world, first, last)])
     grown = grown.tied_by(passed)
     foreseen, tied = GATE.foreseen(grown, closure)
     graph, values = part(world, last, [passed])
@@ -149,8 +149,8 @@ def test_what_is_more_than_appended_is_not_grown(world):
             graph.push_back(factor)
         for key in keys:
             values.insert(key, at(key))
-        assert grown.grown(graph, values) is None
-    assert grown.grown(*news(world, first, first + 1)).places[first + 1] == first + 1
+        assert grown.grown([(graph, values)]) is None
+    assert grown.grown([news(world, first, first + 1)]).places[first + 1] == first + 1
 
 
 def test_a_closure_that_bends_the_map_asks_for_a_new_one(world):

@@ -130,7 +130,8 @@ class GatedFixedLagSmoother(GatedSmoother):
         parts = decoded(state, [kind.__name__ for kind in KINDS])
         remembered = Remembered.resumed(state["smoother"], parts.graph, parameters)
         found = cls(remembered.smoother, gate, parts.radii)
-        found._remembered, found._offers, found._kept = remembered, parts.offers, parts.kept
+        found._offers, found._waiting, found._kept = parts.offers, parts.waiting, parts.kept
+        found._remembered = remembered
         return found
 
     @property

@@ -40,6 +40,7 @@ class GatedSmoother(ABC):
     gate: LoopClosureGate = field(default_factory=LoopClosureGate)
     radii: Radii | None = None
     _offers: list[Offer] = field(default_factory=list, init=False)
+    _waiting: set[int] = field(default_factory=set, init=False)
     _kept: KeptMap = field(default_factory=KeptMap, init=False)
 
     def __post_init__(self) -> None:
@@ -113,7 +114,13 @@ class GatedSmoother(ABC):
 
     @property
     def _parts(self) -> Parts:
-        return Parts(graph=self._map.getFactorsUnsafe(), radii=self.radii, offers=self._offers, kept=self._kept)
+        return Parts(
+            graph=self._map.getFactorsUnsafe(),
+            radii=self.radii,
+            offers=self._offers,
+            waiting=self._waiting,
+            kept=self._kept,
+        )
 
     def _check_news(self, news: News, options: Mapping[str, Any]) -> None:
         """Refuse input on which the smoother would fail."""
@@ -164,7 +171,8 @@ class GatedSmoother(ABC):
         """An update with closures: of the new and the waiting, those that pass together."""
         # judge the closures, and those that wait again
         offered = closure_graphs(closures)
-        waiting = {n: offer.closure for n, offer in enumerate(self._offers) if offer.is_waiting and self._has(offer)}
+        undecided = {number: self._offers[number] for number in sorted(self._waiting)}
+        waiting = {number: offer.closure for number, offer in undecided.items() if self._has(offer)}
         judged = self._kept.judged(self.gate, news, waiting, offered)
         changed = {number: decision for number, decision in judged.waiting.items() if decision.verdict != "undecided"}
 
@@ -180,9 +188,8 @@ class GatedSmoother(ABC):
         slots_of = dict(zip(passed, own, strict=True))
         self._offers += [Offer(closure) for closure in offered]
         for number, decision in verdicts.items():
-            self._offers[number] = Offer(
-                closure_of[number], slots_of.get(number, ()), is_waiting=decision.verdict == "undecided"
-            )
+            self._offers[number].slots = slots_of.get(number, ())
+            (self._waiting.add if decision.verdict == "undecided" else self._waiting.discard)(number)
         self.radii = news.radii
         self._kept.keep(judged.map if step.is_appended else None, self._map, reuses_slots=self._reuses_slots)
         return GatedUpdate(
@@ -297,6 +304,7 @@ class GatedSmoother(ABC):
             self._offers[number].slots = ()
         for number, closure, slots in zip(entering, added, step.slots, strict=True):
             self._offers[number] = Offer(closure, slots)
+        self._waiting.difference_update(entering)
         self._kept.forget()
 
     def _check_in(self, number: int) -> None:

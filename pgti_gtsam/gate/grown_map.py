@@ -6,9 +6,10 @@ of the reference map and of the steps since; closures since then are conditioned
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections import ChainMap
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import gtsam
 import numpy as np
@@ -52,6 +53,14 @@ class Tail:
     gathered: Array
 
 
+class Reached(NamedTuple):
+    """A keyframe at the end of a track: its pose, and root and gathered errors as in `Tail`."""
+
+    pose: Any
+    root: int
+    gathered: Array
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class GrownMap:
     """A map as closures find the map in a running pipeline.
@@ -63,8 +72,8 @@ class GrownMap:
     way_m : (n,) float or None
         Way along the track to every keyframe of the reference map; None where these are not one track up to the last.
     tail : Tail
-    places : dict from key to int
-        All keyframes: the reference map's, then the tail's.
+    places : ChainMap from key to int
+        Keyframes of the tail, then those of the reference map, which all maps grown from the latter share.
     ends : dict from robot to key
         Latest keyframe of each robot; the robot is the first byte of the keys.
     known : KnownClosures
@@ -74,7 +83,7 @@ class GrownMap:
     optimum: KeptOptimum
     way_m: Array | None
     tail: Tail
-    places: dict[int, int]
+    places: ChainMap[int, int]
     ends: Mapping[int, int]
     known: KnownClosures
 
@@ -87,7 +96,7 @@ class GrownMap:
             optimum=optimum,
             way_m=track.way_m if track.order[-1] == len(keys) - 1 else None,
             tail=Tail(poses=(), roots=np.empty(0, dtype=np.int64), gathered=np.empty((0, d, d))),
-            places={key: place for place, key in enumerate(keys)},
+            places=ChainMap({}, {key: place for place, key in enumerate(keys)}),
             ends={robot_of(key): key for key in keys},
             known=KnownClosures.none(optimum.factor, units),
         )
@@ -116,7 +125,7 @@ class GrownMap:
         """Whether so much came since that the reference map is better made anew."""
         return len(self.closures.pairs) > MOST_CLOSURES or len(self.tail.poses) > len(self.optimum)
 
-    def grown(self, factors: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> GrownMap | None:
+    def grown(self, news: Iterable[tuple[gtsam.NonlinearFactorGraph, gtsam.Values]]) -> GrownMap | None:
         """The map with more keyframes.
 
         None where appending does not suffice: each new keyframe must be tied by one between factor, which measures a
@@ -124,47 +133,55 @@ class GrownMap:
 
         Parameters
         ----------
-        factors, values
-            Of the step.
+        news : iterable of (gtsam.NonlinearFactorGraph, gtsam.Values)
+            Factors and values of each step of the smoother.
         """
-        # the step to each new keyframe
-        new = set(values.keys())
-        steps: dict[int, tuple[int, Any]] = {}
-        for factor in factors_of(factors):
-            before, key = min(keys_of(factor)), max(keys_of(factor))
-            if not isinstance(factor, BETWEEN) or key not in new or key in steps:
+        steps: list[tuple[int, int, Any]] = []
+        for factors, values in news:
+            own = _steps(factors, values)
+            if own is None:
                 return None
-            steps[key] = before, measured_from(factor, before)
-        if set(steps) != new:
-            return None
+            steps += own
+        return self._appended(steps)
 
-        # keyframe by keyframe
-        grown: GrownMap | None = self
-        for key in sorted(steps):
-            grown = None if grown is None else grown._appended(key, *steps[key])
-        return grown
+    def _appended(self, steps: Sequence[tuple[int, int, Any]]) -> GrownMap | None:
+        """The map with keyframes that steps tie, each to the latest of its robot; None where a step does not."""
+        n, turn, tail = len(self.optimum), self.units.levelling, self.tail
+        ends, reached, found = dict(self.ends), dict[int, Reached](), list[Reached]()
+        for key, before, measured in steps:
+            robot = robot_of(key)
+            if ends.get(robot) != before or isinstance(measured, gtsam.Pose2) is not self.units.is_planar:
+                return None
+            last = reached[robot] if robot in reached else self._reached(self.places[before])
 
-    def _appended(self, key: int, before: int, measured: Any) -> GrownMap | None:
-        """The map with a keyframe that a step ties to another, if this is the latest of its robot; else None."""
-        if self.ends.get(robot_of(key)) != before or isinstance(measured, gtsam.Pose2) is not self.units.is_planar:
-            return None
-        n, turn, place, tail = len(self.optimum), self.units.levelling, self.places[before], self.tail
-        step = turn.inverse().compose(measured).compose(turn)
-        end = self.pose(place).compose(step)
-
-        # what it hangs on, and what the steps since gather
-        root = place if place < n else int(tail.roots[place - n])
-        carry = self.pose(root).between(end).AdjointMap()
-        gathered = carry @ np.diag(self._variances(step)) @ carry.T
-        if place >= n:
-            gathered += tail.gathered[place - n]
-        tail = Tail(
-            poses=(*tail.poses, end),
-            roots=np.append(tail.roots, root),
-            gathered=np.concatenate([tail.gathered, gathered[None]]),
+            # what it hangs on, and what the steps since gather
+            step = turn.inverse().compose(measured).compose(turn)
+            pose = last.pose.compose(step)
+            carry = self.pose(last.root).between(pose).AdjointMap()
+            gathered = carry @ np.diag(self._variances(step)) @ carry.T + last.gathered
+            reached[robot], ends[robot] = Reached(pose, last.root, gathered), key
+            found.append(reached[robot])
+        if not found:
+            return self
+        poses, roots, own = zip(*found, strict=True)
+        places = {key: place for place, (key, _, _) in enumerate(steps, start=n + len(tail.poses))}
+        return replace(
+            self,
+            tail=Tail(
+                poses=tail.poses + poses,
+                roots=np.append(tail.roots, roots),
+                gathered=np.concatenate([tail.gathered, own]),
+            ),
+            places=ChainMap({**self.places.maps[0], **places}, *self.places.maps[1:]),
+            ends=ends,
         )
-        places = self.places | {key: n + len(tail.poses) - 1}
-        return replace(self, tail=tail, places=places, ends={**self.ends, robot_of(key): key})
+
+    def _reached(self, place: int) -> Reached:
+        """A keyframe with what it hangs on."""
+        n = len(self.optimum)
+        if place < n:
+            return Reached(self.optimum.pose(place), place, np.zeros_like(self.units.spread))
+        return Reached(self.tail.poses[place - n], int(self.tail.roots[place - n]), self.tail.gathered[place - n])
 
     def offered(self, closure: gtsam.NonlinearFactorGraph) -> Ties | None:
         """A closure as a tie; None for no tie, or several."""
@@ -325,6 +342,18 @@ class GrownMap:
         ]
         d = len(self.units.spread)
         return Ends(pairs, roots, np.array(found).reshape(-1, 2, d, d))
+
+
+def _steps(factors: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> list[tuple[int, int, Any]] | None:
+    """Key, key before and measured pose of each new keyframe; None where another factor comes, or too few or many."""
+    new = set(values.keys())
+    steps: dict[int, tuple[int, Any]] = {}
+    for factor in factors_of(factors):
+        before, key = min(keys_of(factor)), max(keys_of(factor))
+        if not isinstance(factor, BETWEEN) or key not in new or key in steps:
+            return None
+        steps[key] = before, measured_from(factor, before)
+    return [(key, *steps[key]) for key in sorted(steps)] if set(steps) == new else None
 
 
 def _same(ties: Ties, offered: Ties, k: int) -> NDArray[np.int64]:

@@ -93,11 +93,10 @@ class Review:
 
 @dataclass(slots=True)
 class Offer:
-    """A closure that was offered, its slots if admitted, and whether the verdict waits for more evidence."""
+    """A closure that was offered, and its slots if admitted."""
 
     closure: gtsam.NonlinearFactorGraph
     slots: tuple[int, ...] = ()
-    is_waiting: bool = False
 
     def standing(self, graph: gtsam.NonlinearFactorGraph) -> list[int]:
         """Slots of a smoother's graph that hold the closure's own factors still.

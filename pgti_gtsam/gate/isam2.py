@@ -84,7 +84,7 @@ class GatedISAM2(GatedSmoother):
         parts = decoded(state, [KIND], reuses_slots=parameters.findUnusedFactorSlots)
         slots = [parts.graph.at(slot) for slot in range(parts.graph.size())]
         found = cls(smoother_of(slots, values_from(state["smoother"]["values"]), parameters), gate, parts.radii)
-        found._offers, found._kept = parts.offers, parts.kept
+        found._offers, found._waiting, found._kept = parts.offers, parts.waiting, parts.kept
         return found
 
     def update(

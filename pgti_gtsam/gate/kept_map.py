@@ -231,10 +231,7 @@ class KeptMap:
             return None
         if not self.standing.is_that_of(new.map.getFactorsUnsafe()):  # the caller changed it
             return None
-        grown: GrownMap | None = self.map
-        for factors, values in (*self.news, (new.factors, new.values)):
-            grown = None if grown is None else grown.grown(factors, values)
-        return grown
+        return self.map.grown([*self.news, (new.factors, new.values)])
 
 
 def _judged_anew(

@@ -10,6 +10,7 @@ from __future__ import annotations
 import base64
 import io
 import json
+from collections import ChainMap
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -45,6 +46,7 @@ class Parts:
     graph: gtsam.NonlinearFactorGraph
     radii: Radii | None
     offers: list[Offer]
+    waiting: set[int]
     kept: KeptMap
 
 
@@ -65,8 +67,8 @@ def encoded(parts: Parts, smoother: State) -> State:
     graph, radii = parts.graph, parts.radii
     places, apart = placed([offer.closure for offer in parts.offers], graph)
     offers = [
-        {"factors": own, "slots": list(offer.slots), "is_waiting": offer.is_waiting}
-        for own, offer in zip(places, parts.offers, strict=True)
+        {"factors": own, "slots": list(offer.slots), "is_waiting": number in parts.waiting}
+        for number, (own, offer) in enumerate(zip(places, parts.offers, strict=True))
     ]
 
     # all of it; a map that the caller changed is not kept
@@ -113,10 +115,7 @@ def decoded(state: State, kinds: Collection[str], *, reuses_slots: bool = False)
 
     # the factors of the map, and the closures' factors, which are factors of the map
     graph, apart = graph_from(state["factors"]), graph_from(state["closures_apart"])
-    offers = [
-        Offer(placed_in(offer["factors"], graph, apart), tuple(offer["slots"]), offer["is_waiting"])
-        for offer in state["closures"]
-    ]
+    offers = [Offer(placed_in(offer["factors"], graph, apart), tuple(offer["slots"])) for offer in state["closures"]]
 
     # the radii, and the map between closures
     radii, kept = state["radii"], state["kept"]
@@ -125,6 +124,7 @@ def decoded(state: State, kinds: Collection[str], *, reuses_slots: bool = False)
         graph=graph,
         radii=radii,
         offers=offers,
+        waiting={number for number, offer in enumerate(state["closures"]) if offer["is_waiting"]},
         kept=KeptMap(
             map=None if kept["map"] is None else _decoded_map(kept["map"]),
             news=[(graph_from(factors), values_from(values)) for factors, values in kept["news"]],
@@ -232,7 +232,7 @@ def _decoded_map(text: str) -> GrownMap:
         optimum=KeptOptimum(units=units, factor=factor, **own),
         way_m=arrays.get("way_m"),
         tail=Tail(poses=_poses(arrays["tail"]), roots=arrays["roots"], gathered=arrays["gathered"]),
-        places={key: place for place, key in enumerate(arrays["keys"].tolist())},
+        places=ChainMap({}, {key: place for place, key in enumerate(arrays["keys"].tolist())}),
         ends={robot_of(key): key for key in arrays["ends"].tolist()},
         known=KnownClosures.none(factor, units),
     )

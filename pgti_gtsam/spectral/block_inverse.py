@@ -150,25 +150,25 @@ def products(factor: BlockFactor, ends: IntArray, jacobians: FloatArray) -> Floa
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class HalfProducts:
-    """D⁻¹ L⁻¹ Jᵀ of some blocks of rows of J, for the products of `products` with further blocks.
+    """J L⁻ᵀ D⁻¹ of some blocks of rows of J, for the products of `products` with further blocks.
 
     Attributes
     ----------
     factor : BlockFactor
     n_pairs : int
         Number of the blocks, k.
-    columns : dict from int to ((m,) int, (w d, m d) float)
+    passed : dict from int to ((m,) int, (m d, w d) float)
         At each supernode on the ways to the roots: which blocks pass there, and the entries.
     """
 
     factor: BlockFactor
     n_pairs: int
-    columns: dict[int, tuple[IntArray, FloatArray]]
+    passed: dict[int, tuple[IntArray, FloatArray]]
 
     @classmethod
     def none(cls, factor: BlockFactor) -> HalfProducts:
         """No block yet."""
-        return cls(factor=factor, n_pairs=0, columns={})
+        return cls(factor=factor, n_pairs=0, passed={})
 
     def extended(self, ends: IntArray, jacobians: FloatArray) -> tuple[HalfProducts, FloatArray, FloatArray]:
         """These blocks and more; the products J H⁻¹ J'ᵀ of these with those, (k d, g d), and of those, (g d, g d).
@@ -180,16 +180,16 @@ class HalfProducts:
         jacobians : (g, 2, d, d) float
             As for `products`.
         """
-        d, g, columns = self.factor.size, len(ends), dict(self.columns)
+        d, g, passed = self.factor.size, len(ends), dict(self.passed)
         new = self.n_pairs + np.arange(g)
         across, own = np.zeros((self.n_pairs, d, g * d)), np.zeros((g * d, g * d))
         for k, z in _half_solved(self.factor, ends, jacobians):
-            weighted = self.factor.inverses[k] @ z
-            own += z.T @ weighted
-            passing, entries = self.columns.get(k, (new[:0], weighted[:, :0]))
-            across[passing] += (entries.T @ z).reshape(len(passing), d, g * d)
-            columns[k] = np.append(passing, new), np.hstack([entries, weighted])
-        extended = HalfProducts(factor=self.factor, n_pairs=self.n_pairs + g, columns=columns)
+            weighted = z.T @ self.factor.inverses[k]
+            own += weighted @ z
+            passing, entries = self.passed.get(k, (new[:0], weighted[:0]))
+            across[passing] += (entries @ z).reshape(len(passing), d, g * d)
+            passed[k] = np.concatenate([passing, new]), np.concatenate([entries, weighted])
+        extended = HalfProducts(factor=self.factor, n_pairs=self.n_pairs + g, passed=passed)
         return extended, across.reshape(self.n_pairs * d, g * d), own
 
 
