@@ -139,5 +139,6 @@ def test_a_pipeline_is_timed_beside_isam2_alone(tmp_path):
     assert [row["n_keyframes"] for row in rows] == [250, 500]
     assert rows[-1]["accepted"] == rows[-1]["offered"] == 30
     assert all(row["bare_s"] > 0 and row["gated_s"] > 0 for row in rows)
+    assert all(0 < row["decision_s"] < row["gated_closing_s"] for row in rows)
     pipeline.draw(rows, tmp_path / "pipeline.png")
     assert (tmp_path / "pipeline.png").read_bytes().startswith(b"\x89PNG")
