@@ -122,3 +122,25 @@ def test_what_has_no_archive_is_not_saved_and_what_is_no_state_is_not_read(world
     assert (tmp_path / "gate.json").read_text() == "as it was"
     with pytest.raises(InvalidGraphError, match="expected a state"):
         GatedISAM2.resumed({"schema": "pgti-gtsam/audit"})
+
+
+def test_a_state_that_was_changed_since_is_refused(whole, tmp_path):
+    isam, path = whole[0], tmp_path / "gate.json"
+    isam.save(path)
+    text = path.read_text()
+    GatedISAM2.load(path)
+    packed = text.index('"map": "') + 2000
+    for changed in (
+        text[:packed] + ("A" if text[packed] != "A" else "B") + text[packed + 1 :],
+        text.replace("[0, 3.0]", "[0, 3.5]"),
+        text[: text.rindex(', "sha256"')] + "}",
+        text[:-1] + ', "more": 1}',
+    ):
+        assert changed != text
+        path.write_text(changed)
+        with pytest.raises(FileFormatError, match="changed since; start anew"):
+            GatedISAM2.load(path)
+        assert path.read_text() == changed
+    path.write_text(text[: len(text) // 2])
+    with pytest.raises(FileFormatError, match="no JSON"):
+        GatedISAM2.load(path)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -11,7 +10,6 @@ from typing import Any, Self
 
 import gtsam
 
-from pgti_gtsam import outputs
 from pgti_gtsam.adapter import check_radii
 from pgti_gtsam.adapter.values import read_keyframes
 from pgti_gtsam.checks import shown
@@ -23,7 +21,7 @@ from pgti_gtsam.gate.grown_map import GrownMap
 from pgti_gtsam.gate.history import GatedUpdate, Offer, Review, Step
 from pgti_gtsam.gate.kept_map import KeptMap, News, WholeMap, check_news
 from pgti_gtsam.gate.revisits import revisits
-from pgti_gtsam.gate.saved import Parts, State, read_state
+from pgti_gtsam.gate.saved import SCHEMA, VERSION, Parts, State, read_state, write_state
 from pgti_gtsam.gate.ties import free_space_unit
 from pgti_gtsam.pose_graph import Radii
 from pgti_gtsam.track import track_of
@@ -85,7 +83,7 @@ class GatedSmoother(ABC):
         InvalidGraphError
             A factor that GTSAM has no archive of, a `gtsam.CustomFactor` say.
         """
-        outputs.write_text(path, json.dumps(self.state()))
+        write_state(path, self.state())
 
     @classmethod
     @abstractmethod
@@ -102,7 +100,7 @@ class GatedSmoother(ABC):
 
     @classmethod
     def load(cls, path: Path | str, parameters: Any | None = None, gate: LoopClosureGate | None = None) -> Self:
-        """Read the file of `save`; see `resumed`.
+        """Read the file of `save`; FileFormatError for any other content. See `resumed`.
 
         Parameters
         ----------
@@ -110,7 +108,7 @@ class GatedSmoother(ABC):
         parameters, gate
             As for `resumed`.
         """
-        return cls.resumed(read_state(Path(path)), parameters, gate)
+        return cls.resumed(read_state(Path(path), SCHEMA, VERSION), parameters, gate)
 
     @property
     def _parts(self) -> Parts:

@@ -8,6 +8,7 @@ written as the arrays that predictions need, so that the next verdicts equal tho
 from __future__ import annotations
 
 import base64
+import hashlib
 import io
 import json
 from collections import ChainMap
@@ -20,6 +21,7 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
+from pgti_gtsam import outputs
 from pgti_gtsam.errors import FileFormatError, InvalidGraphError
 from pgti_gtsam.factor_graphs import factors_of, graph_of, slots_of
 from pgti_gtsam.gate.grown_map import GrownMap, Tail, robot_of
@@ -133,21 +135,56 @@ def decoded(state: State, kinds: Collection[str], *, reuses_slots: bool = False)
     )
 
 
-def read_state(path: Path) -> State:
-    """A state's file as JSON.
+def write_state(path: Path | str, state: State) -> None:
+    """Write a state with its checksum; a power failure leaves the old file or the new file.
+
+    Parameters
+    ----------
+    path : Path or str
+    state : State
+    """
+    text = json.dumps(state)
+    outputs.write_text(path, text[:-1] + _checksum(text))
+
+
+def read_state(path: Path, schema: str, version: int) -> State:
+    """A state from its file.
+
+    Parameters
+    ----------
+    path : Path
+    schema : str
+    version : int
 
     Raises
     ------
     FileFormatError
-        The text is no JSON object.
+        The text is no JSON object, that of another schema, or not what `write_state` wrote.
     """
+    # the document
     try:
-        state = json.loads(path.read_text(encoding="utf-8"))
+        text = path.read_text(encoding="utf-8")
+        state = json.loads(text)
     except ValueError as error:
-        raise FileFormatError(path, f"expected the state of a gate, got no JSON: {error}") from error
+        raise FileFormatError(path, f"expected a state of {schema}, got no JSON: {error}") from error
     if not isinstance(state, dict):
-        raise FileFormatError(path, "expected the state of a gate, got another JSON document")
+        raise FileFormatError(path, f"expected a state of {schema}, got another JSON document")
+    if state.get("schema") != schema or state.get("schema_version") != version:
+        raise FileFormatError(path, f"expected a state of {schema} {version}, got another; name another file")
+
+    # its checksum
+    own, separator, _ = text.rpartition(_BEFORE_CHECKSUM)
+    if not separator or text != own + _checksum(own + "}"):
+        raise FileFormatError(path, "expected a state as it was written, got one that was changed since; start anew")
     return state
+
+
+_BEFORE_CHECKSUM = ', "sha256": "'
+
+
+def _checksum(text: str) -> str:
+    """The last key of a state's file, behind the text of all others."""
+    return f'{_BEFORE_CHECKSUM}{hashlib.sha256(text.encode()).hexdigest()}"}}'
 
 
 def placed(

@@ -7,16 +7,14 @@ before the answer: a process killed in between answers the line when resumed, an
 from __future__ import annotations
 
 import fcntl
-import json
 import os
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from pgti_gtsam import outputs
 from pgti_gtsam.errors import FileFormatError, InvalidOptionError, OutputError, PgtiError
 from pgti_gtsam.gate import LoopClosureGate
-from pgti_gtsam.gate.saved import read_state
+from pgti_gtsam.gate.saved import read_state, write_state
 from pgti_gtsam.stream.session import Answer, Session
 
 EVERY = 2000
@@ -77,9 +75,7 @@ class Journal:
             return session, []
 
         # the state, and the lines since
-        state = read_state(self.path)
-        if state.get("schema") != SCHEMA or state.get("schema_version") != VERSION:
-            raise FileFormatError(self.path, f"expected a state of {SCHEMA} {VERSION}, got another; name another file")
+        state = read_state(self.path, SCHEMA, VERSION)
         session, again = Session.resumed(state["session"], gate), list[Answer]()
         if radius_m is not None and session.isam.radii != radius_m:
             raise FileFormatError(self.path, f"expected the radii that the map was begun with, got {radius_m:g} m")
@@ -107,8 +103,7 @@ class Journal:
         """Write the whole state; the lines so far are part of the state."""
         if self._lines is not None:
             self._lines.close()
-        state = {"schema": SCHEMA, "schema_version": VERSION, "session": session.state()}
-        outputs.write_text(self.path, json.dumps(state))
+        write_state(self.path, {"schema": SCHEMA, "schema_version": VERSION, "session": session.state()})
         self._lines, self._count = self.lines_path.open("wb"), 0
 
     def end(self, session: Session) -> None:
