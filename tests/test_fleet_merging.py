@@ -49,6 +49,18 @@ def link(robots, first, second, wrong=None):
     return between(key(first), key(second), places[0].between(places[1]) if wrong is None else wrong)
 
 
+def test_variables_that_no_keyframe_is_tied_to_are_named(robots):
+    graph, values = together(robots, {letter: FRAMES[letter] for letter in "ab"})
+    unit = gtsam.noiseModel.Unit.Create(2)
+    graph.push_back(gtsam.PriorFactorPoint2(key("l1"), np.zeros(2), unit))
+    values.insert(key("l1"), np.zeros(2))
+    values.insert(key("l2"), np.ones(2))
+    found = merge(graph, values, [], RADIUS)
+    assert found.left_out == (key("l1"), key("l2"))
+    assert found.values.size() == values.size() - 2
+    assert found.graph.size() == graph.size() - 1
+
+
 def offered(robots):
     return [
         link(robots, "a3", "b5"),
@@ -70,6 +82,8 @@ def test_true_links_join_the_maps_and_wrong_ones_do_not(robots):
     assert [joining.maps for joining in found.order] == [("a", "b"), ("a + b", "c")]
     assert set(found.order[1].links) == {4, 5, 7}  # to two maps: those to either would not have joined c
     assert min(joining.probability for joining in found.order) > 0.95
+
+    assert found.left_out == ()
 
     # one frame, and the links of the wrong ones are in no graph
     assert found.graph.size() == graph.size() + 6

@@ -67,10 +67,14 @@ def test_a_pose_graph_that_was_not_read_from_factors_has_no_counts_of_them(docum
 
 def test_of_many_links_and_closures_the_rest_is_counted():
     link = {"keyframes": ["a1", "b2"], "verdict": "accepted", "probability": 0.99, "sentence": "It fits."}
-    said = printed(print_merging, {"links": [link] * 23, "order": [], "gains": []})
+    said = printed(print_merging, {"links": [link] * 23, "order": [], "gains": [], "left_out": []})
     assert said.count("a1 – b2") == 20
     assert "and 3 more" in said
-    assert "more" not in printed(print_merging, {"links": [link] * 20, "order": [], "gains": []})
+    assert "left out" not in said
+    said = printed(print_merging, {"links": [], "order": [], "gains": [], "left_out": [f"l{k}" for k in range(21)]})
+    assert "variables that no factor ties to a keyframe: 21 (l0, l1," in said
+    assert "l19, …)" in said
+    assert "more" not in printed(print_merging, {"links": [link] * 20, "order": [], "gains": [], "left_out": []})
     record = {
         "verdict": "accepted", "keys": [1, 2], "keyframes": ["1", "2"], "probability": 0.9, "log_odds": 2.2,
         "is_true": None, "terms": {"drift": {"log_odds": 2.2}},

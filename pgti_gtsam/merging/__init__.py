@@ -112,6 +112,8 @@ class Merged:
         The surest first.
     gains : tuple of Gain
         For each map.
+    left_out : tuple of int
+        Keys of variables that no factor ties to any keyframe: neither graph nor values hold them.
     """
 
     graph: gtsam.NonlinearFactorGraph
@@ -120,6 +122,7 @@ class Merged:
     links: tuple[LinkVerdict, ...]
     order: tuple[Joining, ...]
     gains: tuple[Gain, ...]
+    left_out: tuple[int, ...]
 
 
 def merge(
@@ -166,6 +169,7 @@ def merge(
         links=merger.verdicts(),
         order=tuple(merger.order),
         gains=tuple(merger.gain(own, whole) for own in alone),
+        left_out=tuple(sorted(set(values.keys()).difference(*(own.values.keys() for own in alone)))),
     )
 
 

@@ -11,7 +11,7 @@ from pgti_gtsam.pose_graph import key_label
 
 
 def merging_record(merged: Merged) -> dict[str, Any]:
-    """Links with verdict and probability, joinings the surest first, and the gain of each map."""
+    """Links with verdict and probability, joinings the surest first, the gain of each map, and what no map holds."""
     return {
         "links": [
             {
@@ -27,4 +27,5 @@ def merging_record(merged: Merged) -> dict[str, Any]:
             asdict(gain) | {"before_m": encode.number(gain.before_m), "after_m": encode.number(gain.after_m)}
             for gain in merged.gains
         ],
+        "left_out": [key_label(key) for key in merged.left_out],
     }

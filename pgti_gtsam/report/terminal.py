@@ -72,6 +72,9 @@ def print_merging(merging: Mapping[str, Any], console: Console) -> None:
     for gain in merging["gains"]:
         surer = f"{gain['n_links']} links; drift between its keyframes {gain['before_m']:.2g} m alone, "
         maps.add_row(Text(gain["map"]), Text(f"{surer}{gain['after_m']:.2g} m now"))
+    if left_out := merging["left_out"]:
+        shown = ", ".join(left_out[:MAX_CLOSURES]) + (", …" if len(left_out) > MAX_CLOSURES else "")
+        maps.add_row("left out", Text(f"variables that no factor ties to a keyframe: {len(left_out)} ({shown})"))
     console.print(Group(_section("Links between maps", table), _section("Maps, joined in this order", maps), Text("")))
 
 
