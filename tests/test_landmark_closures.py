@@ -9,7 +9,11 @@ import pgti_gtsam as pgti
 from pgti_gtsam import datasets
 from pgti_gtsam.adapter.values import read_keyframes
 from pgti_gtsam.factor_graphs import factors_of, graph_of
+from pgti_gtsam.gate.candidates import implied_tie
 from pgti_gtsam.gate.gate import LoopClosureGate
+from pgti_gtsam.gate.terms.drift import NEAR, NEAR_RAD, NEAR_SHARE, log_normal, log_odds
+from pgti_gtsam.gate.ties import OFFSET, OFFSET_RAD, Offered, unobservable_of
+from pgti_gtsam.gate.units import Units
 
 SEEN = gtsam.noiseModel.Diagonal.Sigmas([0.02, 0.1])
 LAP = 4 * 32
@@ -59,6 +63,20 @@ def test_landmarks_that_are_seen_again_are_a_closure(mapped):
     assert decision.keys[0] < LAP - 8
 
 
+def test_a_landmark_alone_says_less_than_several(mapped):
+    """Bearing and range leave open where around the landmark the keyframe stands; before, any place of that circle was
+    taken for measured, and this true sighting rejected with log odds of −33."""
+    world, places, graph, values = mapped
+    last = LAP + 6
+    known = near(world, places, last, 2)
+    gate = pgti.LoopClosureGate()
+    alone, both = (
+        gate.evaluate(graph, values, sightings(world.truth, places, last, own, own), 3.0) for own in (known[:1], known)
+    )
+    assert 0 < alone.log_odds < both.log_odds - 1
+    assert alone.reasons[0].endswith(both.reasons[0][both.reasons[0].index("give or take") :])
+
+
 @pytest.mark.parametrize("elsewhere", [20, 50, 90])
 def test_landmarks_that_are_taken_for_others_are_rejected(mapped, elsewhere):
     """Five landmarks elsewhere are taken for those at hand: at best undecided, as far as the drift allows for it."""
@@ -84,6 +102,80 @@ def test_a_landmark_that_nobody_knows_ties_nothing(mapped):
     assert decision.accepted
     assert decision.keys == ()
     assert np.isnan(decision.log_odds)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+@pytest.mark.parametrize("is_planar", [True, False])
+@pytest.mark.parametrize("is_earlier", [True, False])
+def test_directions_that_landmarks_leave_open_change_nothing_that_is_seen(count, is_planar, is_earlier):
+    """To first order: bearing and range of one landmark in the plane leave one direction, one point in space leaves
+    three turns, two leave the turn about the line between them."""
+    random, unit_m = np.random.default_rng(7), 2.0
+    sees, knows = (0, 1) if is_earlier else (1, 0)
+    if is_planar:
+        poses, points = [gtsam.Pose2(1, 2, 0.5), gtsam.Pose2(9, 1, -2)], random.normal(0, 4, (count, 2))
+        noise = gtsam.noiseModel.Diagonal.Sigmas([0.02, 0.1])
+    else:
+        poses = [gtsam.Pose3(gtsam.Rot3.Ypr(0.3, 0.2, 0.1), [1, 2, 3]), gtsam.Pose3(gtsam.Rot3.Ypr(2, 0, 1), [9, 1, 2])]
+        points, noise = random.normal(0, 4, (count, 3)), gtsam.noiseModel.Diagonal.Sigmas([0.02, 0.02, 0.1])
+    kind = gtsam.BearingRangeFactor2D if is_planar else gtsam.BearingRangeFactor3D
+
+    # both see all; the closure is what the one sees, whose estimate is right
+    values = gtsam.Values()
+    for k, pose in enumerate(poses):
+        values.insert(k, pose)
+    seen = {k: gtsam.NonlinearFactorGraph() for k in (0, 1)}
+    for n, point in enumerate(points):
+        values.insert(gtsam.symbol("l", n), point)
+        for k, pose in enumerate(poses):
+            seen[k].push_back(kind(k, gtsam.symbol("l", n), pose.bearing(point), pose.range(point), noise))
+    tie = implied_tie(seen[sees], seen[knows], read_keyframes(values), unit_m)
+    assert (tie.first, tie.second) == (0, 1)
+    assert tie.measured.equals(poses[0].between(poses[1]), 1e-6)
+    n_open = {1: 1 if is_planar else 3, 2: 0 if is_planar else 1, 3: 0}[count]
+    if n_open == 0:
+        assert tie.unobservable is None
+        return
+    assert tie.unobservable.shape == (3 if is_planar else 6, n_open)
+    np.testing.assert_allclose(tie.unobservable.T @ tie.unobservable, np.eye(n_open), atol=1e-9)
+
+    # the second keyframe moves against the first; what the one sees stays
+    lengths = np.array([unit_m, unit_m, 1.0] if is_planar else [1.0] * 3 + [unit_m] * 3)
+    for direction in tie.unobservable.T:
+        step = 1e-3
+        measured = tie.measured.compose(type(tie.measured).Expmap(step * lengths * direction))
+        moved = gtsam.Values(values)
+        moved.update(sees, poses[1].compose(measured.inverse()) if is_earlier else poses[0].compose(measured))
+        assert np.sqrt(2 * seen[sees].error(moved)) < 1e-3  # 0.02 to 0.1 are a sigma: a step of any other kind shows
+        across = np.linalg.svd(tie.unobservable)[0][:, -1]
+        other = tie.measured.compose(type(tie.measured).Expmap(step * lengths * across))
+        moved.update(sees, poses[1].compose(other.inverse()) if is_earlier else poses[0].compose(other))
+        assert np.sqrt(2 * seen[sees].error(moved)) > 5e-3
+
+
+def test_open_directions_add_nothing_to_the_log_odds():
+    """The law: with R + F, F wider than the map along some directions, the odds are those of the other directions."""
+    random = np.random.default_rng(3)
+    spread = np.diag([40.0, 70.0, 3.0])
+    units = Units(unit_m=2.0, levelling=gtsam.Pose2(), tilt=1.0, spread=spread)
+    for _ in range(20):
+        root = random.normal(size=(3, 3))
+        predicted, missed = root @ root.T, random.normal(size=3)
+        basis = np.linalg.qr(random.normal(size=(3, 3)))[0]
+        offered = Offered(0, 1, gtsam.Pose2(), basis[:, :1])
+        far = unobservable_of([offered], units)[0]
+        found = log_odds(units, missed[None], (predicted + far)[None])[0]
+
+        # the same along the directions that F leaves alone
+        lengths = np.array([2.0, 2.0, 1.0])
+        rest = np.linalg.svd((lengths * basis[:, 0])[None])[2][1:]
+        exact, close = (np.diag(units.variances(*each)) for each in ((OFFSET, OFFSET_RAD), (NEAR, NEAR_RAD)))
+        seen = (rest @ missed)[None]
+        density = []
+        for false in (np.zeros((3, 3)), spread):
+            own = [log_normal(seen, (rest @ (predicted + r + false) @ rest.T)[None])[0] for r in (exact, close)]
+            density.append(np.logaddexp(np.log(1 - NEAR_SHARE) + own[0], np.log(NEAR_SHARE) + own[1]))
+        assert found == pytest.approx(density[0] - density[1], abs=2e-3)
 
 
 @pytest.fixture(scope="module")

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 from pgti_gtsam.gate.decision import Change, Term
 from pgti_gtsam.gate.drift_model import DriftModel
@@ -24,7 +25,6 @@ from pgti_gtsam.gate.settled import Settled, settle
 from pgti_gtsam.gate.terms import contact_rise, drift
 from pgti_gtsam.gate.terms.contact_rise import Contacts, local_rise
 from pgti_gtsam.gate.terms.drift import AGREES, log_odds, log_odds_together
-from pgti_gtsam.gate.ties import OFFSET, OFFSET_RAD
 from pgti_gtsam.gate.units import Units
 
 MEMBERS = 8
@@ -100,7 +100,9 @@ class Weight:
         self.missed_rad = float(np.linalg.norm(np.delete(missed, np.arange(len(missed))[place])))
         self.allowed_m = float(units.allowances_m(spread[None])[0])
 
-    def weigh(self, units: Units, later: Sequence[Any], missed: Array, spread: Array) -> None:
+    def weigh(
+        self, units: Units, later: Sequence[Any], missed: Array, spread: Array, unobserved: Array | None = None
+    ) -> None:
         """Weigh the revisit by some members.
 
         Parameters
@@ -112,10 +114,13 @@ class Weight:
             Differences from the prediction.
         spread : (g d, g d) float
             Joint covariance of the prediction.
+        unobserved : (g, d, d) float, optional
+            Covariance along the directions that members leave open; none leaves any without.
         """
         odds = np.nan
         if np.isfinite(spread).all():
-            odds = log_odds_together(units, later, range(len(later)), missed, spread) + AGREES * (len(later) - 1)
+            whole = spread if unobserved is None else spread + block_diag(*unobserved)
+            odds = log_odds_together(units, later, range(len(later)), missed, whole) + AGREES * (len(later) - 1)
         middle, d = len(later) // 2, missed.shape[1]
         inner = slice(middle * d, (middle + 1) * d)
         self.note(units, missed[middle], spread[inner, inner], odds)
@@ -207,7 +212,7 @@ class Admission:
         ties, single = self.model.ties, [each for each in asked if len(each.ties) == 1]
         own = np.array([each.ties[0] for each in single], dtype=np.int64)
         spreads = self._poorer * self.settled.covariances(ties.pairs[own])
-        odds = log_odds(self.model.units, self.settled.residuals[own], spreads)
+        odds = log_odds(self.model.units, self.settled.residuals[own], spreads + self.model.unobserved(own))
         for each, residual, spread, found in zip(single, self.settled.residuals[own], spreads, odds, strict=True):
             each.note(self.model.units, residual, spread, float(found))
 
@@ -228,7 +233,6 @@ class Admission:
         pairs = np.concatenate([self.model.ties.pairs[own] for own in members])
         spread = self._poorer * self.settled.joint_covariances([pairs])[0]
         missed = np.concatenate([self.settled.residuals[own].ravel() for own in members])
-        tolerance = self.model.units.variances(OFFSET, OFFSET_RAD)
         known, ends = np.empty((len(missed), 0)), d * np.cumsum([0, *map(len, members)])
         taken: list[Weight] = []
         moved = np.empty((0, len(missed)))
@@ -243,7 +247,7 @@ class Admission:
             taken.append(each)
 
             # what it says of all the others
-            root = np.linalg.cholesky(block + np.diag(np.tile(tolerance, len(own))))
+            root = np.linalg.cholesky(block + np.diag(self.model.ties.variances[own].ravel()))
             columns = np.linalg.solve(root, spread[span] - known[span] @ known.T).T
             moved = np.vstack([moved, columns @ np.linalg.solve(root, missed[span])])
             known, missed = np.hstack([known, columns]), missed - moved[-1]
@@ -252,7 +256,8 @@ class Admission:
     def _weigh(self, each: Weight, own: Ties, missed: Array, spread: Array) -> None:
         """A revisit of several closures by the differences of some members from the prediction."""
         later = [self.settled.poses[j] for j in self.model.ties.pairs[own, 1].tolist()]
-        each.weigh(self.model.units, later, missed, spread)
+        unobserved = self.model.unobserved(own) if self.model.unobservable else None
+        each.weigh(self.model.units, later, missed, spread, unobserved)
 
     def _take(self, chosen: Sequence[Weight]) -> bool:
         """Tie revisits, but refuse revisits that the free space contradicts; whether there were any."""
@@ -344,7 +349,7 @@ class Admission:
             if len(tied) < 2:  # a lone closure was compared with all others when it was weighed
                 return
             missed, others = left_out(self.settled, tied)
-            odds = log_odds(self.model.units, missed, self._poorer * others)
+            odds = log_odds(self.model.units, missed, self._poorer * others + self.model.unobserved(tied))
             misfits = odds < 0
             if not misfits.any():
                 return

@@ -15,6 +15,8 @@ from pgti_gtsam.estimate import optimised
 from pgti_gtsam.factor_graphs import BETWEEN, factors_of, graph_of, keys_of, measured_from
 from pgti_gtsam.gate.revisits import revisits
 from pgti_gtsam.gate.settled import Settled
+from pgti_gtsam.gate.ties import Offered
+from pgti_gtsam.gate.units import variances_of
 
 AGREEMENT, AGREEMENT_RAD = 0.5, 0.35
 """How far apart two closures of a revisit may put a place and still say the same, in ρ and in rad."""
@@ -25,11 +27,15 @@ STRETCHED = 0.1
 STILL, MOST_STEPS = 1e-3, 50
 """Standard deviation, in ρ, of landmarks that a keyframe is placed by, and Levenberg-Marquardt steps for it."""
 
-Tie = tuple[int, int, Any]
-"""Keyframes i < j and the pose of j seen from i."""
+OPEN = 1e-6
+"""Information along a direction, in parts of the largest, below which landmarks leave the direction open: one seen by
+bearing and range leaves the way around it open, two points leave the turn about the line between them."""
+
+AS_WELL, EXACT = 1.01, 1e-6
+"""Factor and difference of ½ Σ ‖e‖² up to which a keyframe is placed as well by one pose as by another."""
 
 
-def measured_ties(closure: gtsam.NonlinearFactorGraph, keyframes: Keyframes) -> list[Tie]:
+def measured_ties(closure: gtsam.NonlinearFactorGraph, keyframes: Keyframes) -> list[Offered]:
     """The measurements of the between factors of a closure.
 
     Parameters
@@ -41,19 +47,19 @@ def measured_ties(closure: gtsam.NonlinearFactorGraph, keyframes: Keyframes) -> 
     for factor in factors_of(closure):
         if isinstance(factor, BETWEEN):
             first, second = sorted(keys_of(factor), key=lambda key: keyframes.index[key])
-            found.append((keyframes.index[first], keyframes.index[second], measured_from(factor, first)))
-    return [tie for tie in found if tie[0] != tie[1]]
+            found.append(Offered(keyframes.index[first], keyframes.index[second], measured_from(factor, first)))
+    return [tie for tie in found if tie.first != tie.second]
 
 
 def implied_tie(
     closure: gtsam.NonlinearFactorGraph, graph: gtsam.NonlinearFactorGraph, keyframes: Keyframes, unit_m: float
-) -> Tie | None:
+) -> Offered | None:
     """The relative pose that landmarks seen again imply: of their keyframe, placed by the landmarks alone, from the
     first observer.
 
     The landmarks keep their place on the map, and the keyframe is placed by the closure's factors, from its own pose
-    and from the pose of the keyframe that knows most of the landmarks; the better fit counts. None where no other
-    keyframe does.
+    and from the pose of the keyframe that knows most of the landmarks; the better fit counts, and of two that are as
+    good the first. None where no other keyframe does.
 
     Parameters
     ----------
@@ -83,14 +89,22 @@ def implied_tie(
     placed = _placed(closure, keyframes, second, [keyframes.pose(second), keyframes.pose(first)], unit_m)
     if placed is None:
         return None
-    i, j, measured = keyframes.index[first], keyframes.index[second], keyframes.pose(first).between(placed)
-    return (i, j, measured) if i < j else (j, i, measured.inverse())
+    pose, unobservable = placed
+    i, j, measured = keyframes.index[first], keyframes.index[second], keyframes.pose(first).between(pose)
+    if i < j:
+        return Offered(i, j, measured, unobservable)
+
+    # the other way round
+    if unobservable is not None:
+        scale = _lengths(pose, unit_m)[:, None]
+        unobservable = np.linalg.qr(measured.AdjointMap() @ (scale * unobservable) / scale)[0]
+    return Offered(j, i, measured.inverse(), unobservable)
 
 
 def _placed(
     closure: gtsam.NonlinearFactorGraph, keyframes: Keyframes, key: int, starts: Sequence[Any], unit_m: float
-) -> Any | None:
-    """Pose of a keyframe by factors to variables that stay fixed, from the best of several starts."""
+) -> tuple[Any, NDArray[np.float64] | None] | None:
+    """Pose of a keyframe by factors to variables that stay fixed, and the directions that these leave open."""
     # the factors of the keyframe, every other variable fixed at its value
     factors = [factor for factor in factors_of(closure) if key in keys_of(factor)]
     graph, values = graph_of(factors), gtsam.Values()
@@ -118,8 +132,29 @@ def _placed(
         found.append((graph.error(best), best))
     if not found:
         return None
-    best = min(found, key=lambda each: each[0])[1]
-    return best.atPose2(key) if isinstance(starts[0], gtsam.Pose2) else best.atPose3(key)
+    least = min(error for error, _ in found)
+    best = next(values for error, values in found if error <= AS_WELL * least + EXACT)
+    pose = best.atPose2(key) if isinstance(starts[0], gtsam.Pose2) else best.atPose3(key)
+    return pose, _open_directions(graph_of(factors), best, key, _lengths(pose, unit_m))
+
+
+def _open_directions(
+    graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, key: int, lengths: NDArray[np.float64]
+) -> NDArray[np.float64] | None:
+    """Orthonormal directions of a pose, in units of some lengths, about which no factor says anything, (d, k)."""
+    ordering = gtsam.Ordering()
+    for each in [key, *sorted(set(graph.keyVector()) - {key})]:
+        ordering.push_back(each)
+    jacobian, _ = graph.linearize(values).jacobian(ordering)
+    own = jacobian[:, : len(lengths)] * lengths
+    information, axes = np.linalg.eigh(own.T @ own)
+    is_open = information <= OPEN * information[-1]
+    return axes[:, is_open] if is_open.any() else None
+
+
+def _lengths(pose: Any, unit_m: float) -> NDArray[np.float64]:
+    """ρ and rad, in GTSAM's order, (d,)."""
+    return np.sqrt(variances_of(unit_m, 1.0, is_planar=isinstance(pose, gtsam.Pose2)))
 
 
 _PRIORS: dict[str, Any] = {

@@ -10,8 +10,8 @@ keyframes is the effective resistance between them.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import gtsam
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from pgti_gtsam.adapter.values import read_keyframes
 from pgti_gtsam.factor_graphs import factors_of, keys_of
-from pgti_gtsam.gate.ties import Ties, alike, closures_of, free_space_unit, ties_of
+from pgti_gtsam.gate.ties import Offered, Ties, alike, closures_of, free_space_unit, ties_of, unobservable_of
 from pgti_gtsam.gate.units import Units
 from pgti_gtsam.gate.upright import chained, upright
 from pgti_gtsam.places import places_on
@@ -47,6 +47,8 @@ class DriftModel:
         Keyframes whose position a factor of a single variable fixes.
     along : (n,) float
         Coordinate of every keyframe along the track, from `places_on`.
+    unobservable : mapping from int to (d, d) float
+        Covariance along the directions that a tie leaves open, by tie, for those that leave some.
     """
 
     units: Units
@@ -54,10 +56,26 @@ class DriftModel:
     ties: Ties
     held: NDArray[np.bool_]
     along: Array
+    unobservable: Mapping[int, Array] = field(default_factory=dict)
 
-    def extended(self, offered: Sequence[tuple[int, int, Any]]) -> DriftModel:
-        """The same map with more ties that measure poses, as closures numbered from 0: i < j, and j seen from i."""
-        return replace(self, ties=self.ties.joined(closures_of(offered, self.units)))
+    def extended(self, offered: Sequence[Offered]) -> DriftModel:
+        """The same map with more ties, as closures numbered from 0."""
+        n = len(self.ties.pairs)
+        more = {n + k: covariance for k, covariance in unobservable_of(offered, self.units).items()}
+        ties = self.ties.joined(closures_of(offered, self.units))
+        return replace(self, ties=ties, unobservable={**self.unobservable, **more})
+
+    def unobserved(self, ties: NDArray[np.int64]) -> Array:
+        """Covariance along the directions that some ties leave open, (k, d, d).
+
+        Parameters
+        ----------
+        ties : (k,) int
+        """
+        found = np.zeros((len(ties), *self.units.spread.shape))
+        for k, tie in enumerate(ties.tolist() if self.unobservable else ()):
+            found[k] = self.unobservable.get(tie, 0.0)
+        return found
 
 
 def drift_model(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, pose_graph: PoseGraph) -> DriftModel:

@@ -21,7 +21,7 @@ from pgti_gtsam.gate.kept_optimum import KeptOptimum
 from pgti_gtsam.gate.known_closures import Ends, KnownClosures, Prediction
 from pgti_gtsam.gate.left_out import LEAST_REST
 from pgti_gtsam.gate.reference_map import ReferenceMap
-from pgti_gtsam.gate.ties import Ties, closures_of, errors_of, step_variances
+from pgti_gtsam.gate.ties import Offered, Ties, closures_of, errors_of, step_variances
 from pgti_gtsam.gate.units import Units
 from pgti_gtsam.spectral.block_inverse import products, solve
 
@@ -191,7 +191,7 @@ class GrownMap:
         first, second = sorted(keys_of(factors[0]))
         if first == second or not {first, second} <= self.places.keys():
             return None
-        tie = self.places[first], self.places[second], measured_from(factors[0], first)
+        tie = Offered(self.places[first], self.places[second], measured_from(factors[0], first))
         return closures_of([tie], self.units)
 
     def predicted(self, offered: Ties) -> Prediction:

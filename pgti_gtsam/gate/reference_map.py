@@ -12,11 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pgti_gtsam.adapter.values import Keyframes, read_keyframes
-from pgti_gtsam.gate.candidates import Tie, agreeing, implied_tie, measured_ties
+from pgti_gtsam.gate.candidates import agreeing, implied_tie, measured_ties
 from pgti_gtsam.gate.drift_model import DriftModel, drift_model
 from pgti_gtsam.gate.scored_map import ScoredMap
 from pgti_gtsam.gate.settled import Settled, settle
 from pgti_gtsam.gate.terms.contact_rise import Contacts, contacts
+from pgti_gtsam.gate.ties import Offered
 from pgti_gtsam.pose_graph import EdgeSource, PoseGraph
 from pgti_gtsam.track import Track, track_of
 
@@ -101,7 +102,7 @@ class ReferenceMap:
         rows = [list(range(a, b)) for a, b in zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True)]
         return self.settled.extended([tie for own in ties for tie in own]), rows
 
-    def _implied(self, closure: gtsam.NonlinearFactorGraph) -> list[Tie]:
+    def _implied(self, closure: gtsam.NonlinearFactorGraph) -> list[Offered]:
         tie = implied_tie(closure, self.graph, self.keyframes, self.settled.model.units.unit_m)
         return [] if tie is None else [tie]
 

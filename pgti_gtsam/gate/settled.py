@@ -19,7 +19,7 @@ from pgti_gtsam.errors import UnsolvableGraphError
 from pgti_gtsam.estimate import optimised
 from pgti_gtsam.factor_graphs import between_factor
 from pgti_gtsam.gate.drift_model import DriftModel
-from pgti_gtsam.gate.ties import Ties, adjoints, errors_of
+from pgti_gtsam.gate.ties import Offered, Ties, adjoints, errors_of
 from pgti_gtsam.spectral.block_inverse import TOGETHER, BlockFactor, factorise, own_products, products, solve
 from pgti_gtsam.spectral.elimination_tree import EliminationTree, analyse
 from pgti_gtsam.spectral.laplacian import connected_components
@@ -72,7 +72,7 @@ class Settled:
         found = own_products(self.factor, pairs, self._jacobians(pairs))
         return np.where((self.component[i] == self.component[j])[:, None, None], found, np.nan)
 
-    def extended(self, offered: Sequence[tuple[int, int, Any]]) -> Settled:
+    def extended(self, offered: Sequence[Offered]) -> Settled:
         """The same optimum of a model with more ties, which do not hold yet: see `DriftModel.extended`."""
         model, n = self.model.extended(offered), len(self.active)
         added = model.ties.only(np.arange(n + len(offered)) >= n)

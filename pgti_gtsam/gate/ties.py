@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import gtsam
 import numpy as np
@@ -32,11 +32,34 @@ SHORTEST = 0.05
 OFFSET, OFFSET_RAD = 0.125, 0.075
 """Standard deviation of what a closure measures, in ρ and in rad."""
 
+FAR = 100.0
+"""Standard deviation along a direction that a closure leaves open, in parts of the map's extent."""
+
 HOLDING = int(EdgeSource.BETWEEN | EdgeSource.COVISIBILITY)
 SKIP, ODOMETRY = int(EdgeSource.SKIP), int(EdgeSource.ODOMETRY)
 """As plain numbers: flags of an enumeration cost a tenth of a large map's reading."""
 
 Array = NDArray[np.float64]
+
+
+class Offered(NamedTuple):
+    """The relative pose that a closure measures, or that landmarks seen again imply.
+
+    Attributes
+    ----------
+    first, second : int
+        Keyframes, first < second.
+    measured : gtsam.Pose2 or gtsam.Pose3
+        Pose of the second seen from the first.
+    unobservable : (d, k) float or None
+        Directions in which the closure says nothing, orthonormal, in the tangent space of the second keyframe in ρ and
+        rad; None where the closure fixes the whole pose.
+    """
+
+    first: int
+    second: int
+    measured: Any
+    unobservable: Array | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -183,18 +206,48 @@ def free_space_unit(pose_graph: PoseGraph) -> float:
     return float(np.median(positive))
 
 
-def closures_of(offered: Sequence[tuple[int, int, Any]], units: Units) -> Ties:
+def closures_of(offered: Sequence[Offered], units: Units) -> Ties:
     """Closures as ties, numbered in order; poses of the plane become poses in space where the map is spatial.
+
+    Axes along which a closure leaves a direction open get the variance of that direction.
 
     Parameters
     ----------
-    offered : sequence of tuple
-        Index, index and measured pose of each closure.
+    offered : sequence of Offered
     units : Units
     """
-    poses, turn = [_alike(z, units.is_planar) for _, _, z in offered], units.levelling
+    poses, turn = [_alike(tie.measured, units.is_planar) for tie in offered], units.levelling
     pairs = np.array([tie[:2] for tie in offered], dtype=np.int64).reshape(-1, 2)
-    return level_closures(pairs, [turn.inverse().compose(z).compose(turn) for z in poses], units)
+    found = level_closures(pairs, [turn.inverse().compose(z).compose(turn) for z in poses], units)
+    for k, covariance in unobservable_of(offered, units).items():
+        found.variances[k] += np.diag(covariance)
+    return found
+
+
+def unobservable_of(offered: Sequence[Offered], units: Units) -> dict[int, Array]:
+    """Covariances, (d, d), along the directions that closures leave open, by place; wider than the map is.
+
+    Parameters
+    ----------
+    offered : sequence of Offered
+    units : Units
+    """
+    scale = np.sqrt(units.variances(1.0, 1.0))
+    far = FAR * np.sqrt(np.diag(units.spread).max()) / scale.min()
+    found = {}
+    for k, tie in enumerate(offered):
+        if tie.unobservable is not None:
+            own = tie.unobservable if len(tie.unobservable) == len(scale) else _in_space(tie.unobservable)
+            directions = units.levelling.inverse().AdjointMap() @ (far * scale[:, None] * own)
+            found[k] = directions @ directions.T
+    return found
+
+
+def _in_space(directions: Array) -> Array:
+    """Directions of the plane, x, y and heading, as directions in space, turns first."""
+    found = np.zeros((6, directions.shape[1]))
+    found[[3, 4, 2]] = directions
+    return found
 
 
 def level_closures(pairs: NDArray[np.int64], measured: Iterable[Any], units: Units) -> Ties:
