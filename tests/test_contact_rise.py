@@ -164,6 +164,7 @@ def test_on_a_large_map_the_local_score_is_nearly_that_of_all_keyframes():
     [
         (0.1, 0.5, "x7", "Free space around x7 comes to touch places that nothing connects: its score rises from 0.10"),
         (0.5, 0.1, "x7", "No keyframe's score rises: it goes from 0.50 to 0.10 around x7."),
+        (0.5, 0.502, "x7", "No keyframe's score rises: it stays at 0.50 around x7."),
         (0.0, 0.0, None, "No contact of free space changes."),
     ],
 )

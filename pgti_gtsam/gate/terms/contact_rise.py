@@ -211,5 +211,7 @@ def term(change: Change, label: str | None) -> Term:
             f"{change.before:.2f} to {change.after:.2f}."
         )
     else:
-        sentence = f"No keyframe's score rises: it goes from {change.before:.2f} to {change.after:.2f} around {label}."
+        before, after = f"{change.before:.2f}", f"{change.after:.2f}"
+        goes = f"stays at {before}" if before == after else f"goes from {before} to {after}"
+        sentence = f"No keyframe's score rises: it {goes} around {label}."
     return Term(value=change.rise, log_odds=log_odds(change.rise), sentence=sentence)
