@@ -20,11 +20,11 @@ from numpy.typing import NDArray
 import pgti_gtsam as pgti
 from pgti_gtsam import datasets
 from pgti_gtsam.datasets.chain import poses_of
+from pgti_gtsam.drift.left_out import left_out
+from pgti_gtsam.drift.ties import OFFSET, OFFSET_RAD
 from pgti_gtsam.errors import InvalidOptionError
 from pgti_gtsam.estimate import optimised
 from pgti_gtsam.factor_graphs import without
-from pgti_gtsam.gate.left_out import left_out
-from pgti_gtsam.gate.ties import OFFSET, OFFSET_RAD
 from scenarios.measures import trajectory_errors
 from scenarios.problem import between
 

@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 
 import pgti_gtsam as pgti
 from pgti_gtsam.datasets.chain import poses_of
+from pgti_gtsam.drift.settled import settle
 from pgti_gtsam.gate.candidate_map import CandidateMaps
 from pgti_gtsam.gate.reference_map import ReferenceMap
-from pgti_gtsam.gate.settled import settle
 from pgti_gtsam.gate.terms.contact_rise import local_rise
 from scenarios.arrivals import KITTI, MOST, REAL, Arrivals, Trial, arrivals
 from scenarios.measures import area_under_curve

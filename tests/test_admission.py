@@ -5,12 +5,12 @@ import numpy as np
 import pytest
 from streets import RADIUS, block, driven, ramp, straight, turn
 
+from pgti_gtsam.drift.log_odds import AGREES, log_odds, log_odds_together
+from pgti_gtsam.drift.settled import settle
 from pgti_gtsam.gate.admission import DOUBT, Admission, Weight
 from pgti_gtsam.gate.candidate_map import CandidateMaps
 from pgti_gtsam.gate.gate import LoopClosureGate
-from pgti_gtsam.gate.settled import settle
 from pgti_gtsam.gate.terms.contact_rise import local_rise
-from pgti_gtsam.gate.terms.drift import AGREES, log_odds, log_odds_together
 
 NEEDED = 2.0
 LAP, LAP_OF_20 = 4 * 32, 4 * 12  # steps around a block of 60 m and of 20 m

@@ -7,10 +7,10 @@ from hypothesis import strategies as st
 from streets import RADIUS, block, driven, straight
 
 import pgti_gtsam as pgti
+from pgti_gtsam.drift.settled import settle
 from pgti_gtsam.gate.candidate_map import CandidateMaps
 from pgti_gtsam.gate.gate import LoopClosureGate
 from pgti_gtsam.gate.scored_map import ScoredMap
-from pgti_gtsam.gate.settled import settle
 from pgti_gtsam.pose_graph import PoseGraph
 
 LAP = 4 * 32  # steps around a block of 60 m

@@ -7,6 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import pgti_gtsam as pgti
+from pgti_gtsam.drift.ties import free_space_unit
 from pgti_gtsam.errors import NoRadiusError
 from pgti_gtsam.gate.decision import Change
 from pgti_gtsam.gate.terms.contact_rise import (
@@ -17,7 +18,6 @@ from pgti_gtsam.gate.terms.contact_rise import (
     local_rise,
     term,
 )
-from pgti_gtsam.gate.ties import free_space_unit
 from pgti_gtsam.integrity import stable_scores
 from pgti_gtsam.spectral.heat_kernel import heat_kernels
 from pgti_gtsam.support_graph import overlapping_spheres

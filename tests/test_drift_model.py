@@ -6,12 +6,12 @@ import pytest
 import streets
 
 import pgti_gtsam as pgti
-from pgti_gtsam.gate.drift_model import drift_model
-from pgti_gtsam.gate.left_out import left_out
-from pgti_gtsam.gate.own_closures import own_closures
-from pgti_gtsam.gate.settled import ANCHOR, settle
-from pgti_gtsam.gate.ties import DRIFT, OFFSET, STRETCH
-from pgti_gtsam.gate.units import Units
+from pgti_gtsam.drift.left_out import left_out
+from pgti_gtsam.drift.model import drift_model
+from pgti_gtsam.drift.own_closures import own_closures
+from pgti_gtsam.drift.settled import ANCHOR, settle
+from pgti_gtsam.drift.ties import DRIFT, OFFSET, STRETCH
+from pgti_gtsam.drift.units import Units
 
 RADIUS = 2.0
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from streets import RADIUS, between, block, driven, straight
 
+from pgti_gtsam.drift.ties import Ties
 from pgti_gtsam.gate.gate import LoopClosureGate
-from pgti_gtsam.gate.grown_map import MOST_CLOSURES, GrownMap, Tail
-from pgti_gtsam.gate.ties import Ties
+from pgti_gtsam.gate.kept.grown_map import MOST_CLOSURES, GrownMap, Tail
 
 LAP = 4 * 32  # steps around a block of 60 m
 GATE = LoopClosureGate()

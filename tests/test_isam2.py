@@ -16,8 +16,8 @@ from pgti_gtsam.errors import (
 )
 from pgti_gtsam.factor_graphs import graph_of, slots_of
 from pgti_gtsam.gate.gate import LoopClosureGate
-from pgti_gtsam.gate.isam2 import GatedISAM2
 from pgti_gtsam.gate.options import GateOptions
+from pgti_gtsam.gate.smoothers.isam2 import GatedISAM2
 
 LAP = 4 * 12  # steps around a block of 20 m
 NOWHERE = gtsam.Pose2()

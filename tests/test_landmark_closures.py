@@ -8,12 +8,12 @@ from streets import block, driven
 import pgti_gtsam as pgti
 from pgti_gtsam import datasets
 from pgti_gtsam.adapter.values import read_keyframes
+from pgti_gtsam.drift.log_odds import NEAR, NEAR_RAD, NEAR_SHARE, log_normal, log_odds
+from pgti_gtsam.drift.ties import OFFSET, OFFSET_RAD, Offered, unobservable_of
+from pgti_gtsam.drift.units import Units
 from pgti_gtsam.factor_graphs import factors_of, graph_of
 from pgti_gtsam.gate.candidates import implied_tie
 from pgti_gtsam.gate.gate import LoopClosureGate
-from pgti_gtsam.gate.terms.drift import NEAR, NEAR_RAD, NEAR_SHARE, log_normal, log_odds
-from pgti_gtsam.gate.ties import OFFSET, OFFSET_RAD, Offered, unobservable_of
-from pgti_gtsam.gate.units import Units
 
 SEEN = gtsam.noiseModel.Diagonal.Sigmas([0.02, 0.1])
 LAP = 4 * 32

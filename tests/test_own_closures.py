@@ -6,11 +6,11 @@ import pytest
 import streets
 
 import pgti_gtsam as pgti
+from pgti_gtsam.drift.model import drift_model
+from pgti_gtsam.drift.own_closures import own_closures
+from pgti_gtsam.drift.settled import ANCHOR
+from pgti_gtsam.drift.ties import errors_of
 from pgti_gtsam.gate.batch import leave_one_out
-from pgti_gtsam.gate.drift_model import drift_model
-from pgti_gtsam.gate.own_closures import own_closures
-from pgti_gtsam.gate.settled import ANCHOR
-from pgti_gtsam.gate.ties import errors_of
 
 RADIUS = 2.0
 KINDS, SEEDS = ("planar", "in space"), range(6)

@@ -8,8 +8,8 @@ import pytest
 from streets import RADIUS, block, driven, straight
 
 from pgti_gtsam.errors import FileFormatError, InvalidGraphError
-from pgti_gtsam.gate.fixed_lag import GatedFixedLagSmoother
-from pgti_gtsam.gate.isam2 import GatedISAM2
+from pgti_gtsam.gate.smoothers.fixed_lag import GatedFixedLagSmoother
+from pgti_gtsam.gate.smoothers.isam2 import GatedISAM2
 
 LAP = 4 * 12  # steps around a block of 20 m
 NOWHERE = gtsam.Pose2()

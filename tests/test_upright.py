@@ -6,7 +6,7 @@ import gtsam
 import numpy as np
 import pytest
 
-from pgti_gtsam.gate.upright import LEAST_TILT, chained, upright
+from pgti_gtsam.drift.upright import LEAST_TILT, chained, upright
 
 OPTICAL = gtsam.Rot3(np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]]).T)  # x right, y down, z ahead
 LOOKING_DOWN = gtsam.Rot3.Pitch(np.radians(30))

@@ -20,10 +20,10 @@ from pgti_gtsam.diagnosis import words
 from pgti_gtsam.diagnosis.contacts import Contacts
 from pgti_gtsam.diagnosis.evidence import counted_once
 from pgti_gtsam.diagnosis.records import ClosureFinding, Conclusion, Diagnosis, Place, Proposal
+from pgti_gtsam.drift.model import DriftModel, drift_model
+from pgti_gtsam.drift.own_closures import OwnClosures, own_closures
 from pgti_gtsam.errors import UnsolvableGraphError
 from pgti_gtsam.estimate import Convergence, convergence
-from pgti_gtsam.gate.drift_model import DriftModel, drift_model
-from pgti_gtsam.gate.own_closures import OwnClosures, own_closures
 from pgti_gtsam.integrity import assess
 from pgti_gtsam.places import Compared
 from pgti_gtsam.pose_graph import EdgeSource, PoseGraph

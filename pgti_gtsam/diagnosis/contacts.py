@@ -13,9 +13,9 @@ from pgti_gtsam.diagnosis.levels import rise_m
 from pgti_gtsam.diagnosis.meeting import meeting_share, same_space
 from pgti_gtsam.diagnosis.records import Kind, Place, Proposal
 from pgti_gtsam.diagnosis.views import without_common_view
-from pgti_gtsam.gate.drift_model import DriftModel
-from pgti_gtsam.gate.own_closures import OwnClosures
-from pgti_gtsam.gate.settled import Settled
+from pgti_gtsam.drift.model import DriftModel
+from pgti_gtsam.drift.own_closures import OwnClosures
+from pgti_gtsam.drift.settled import Settled
 from pgti_gtsam.pair_codes import codes_of, pairs_of
 from pgti_gtsam.places import (
     WINDOW,

@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from pgti_gtsam.gate.settled import Settled
+from pgti_gtsam.drift.settled import Settled
 
 LEVEL = 0.25
 """Height between two keyframes of one level, in the sum of their radii. Chosen on storeys of `scenarios.worlds`, seeds

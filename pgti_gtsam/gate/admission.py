@@ -1,6 +1,6 @@
 """The true closures among candidates: the surest revisit is tied first, and the others are asked again.
 
-Each revisit is weighed by the prediction of the ties so far (`terms.drift`). Of the passing revisits, the surest is
+Each revisit is weighed by the prediction of the ties so far (`drift.log_odds`). Of the passing revisits, the surest is
 taken, and the predictions of the others follow (Gaussian conditioning), so that two contradicting revisits never pass
 together; then the map is brought to its optimum, and the rest weighed anew. Where the drift alone leaves doubt, the
 free space decides (`terms.contact_rise`); a revisit that the free space refuses is asked again when more is tied. In
@@ -17,15 +17,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
+from pgti_gtsam.drift.left_out import left_out
+from pgti_gtsam.drift.log_odds import AGREES, log_odds, log_odds_together
+from pgti_gtsam.drift.model import DriftModel
+from pgti_gtsam.drift.own_closures import poorer_odometry
+from pgti_gtsam.drift.settled import Settled, settle
+from pgti_gtsam.drift.units import Units
 from pgti_gtsam.gate.decision import Change, Term
-from pgti_gtsam.gate.drift_model import DriftModel
-from pgti_gtsam.gate.left_out import left_out
-from pgti_gtsam.gate.own_closures import poorer_odometry
-from pgti_gtsam.gate.settled import Settled, settle
 from pgti_gtsam.gate.terms import contact_rise, drift
 from pgti_gtsam.gate.terms.contact_rise import Contacts, local_rise
-from pgti_gtsam.gate.terms.drift import AGREES, log_odds, log_odds_together
-from pgti_gtsam.gate.units import Units
 
 MEMBERS = 8
 """Most members by which a revisit is weighed: those between them say nothing new."""

@@ -10,12 +10,12 @@ import numpy as np
 
 from pgti_gtsam.adapter.values import typed_value
 from pgti_gtsam.checks import shown
+from pgti_gtsam.drift.settled import Settled
 from pgti_gtsam.errors import InvalidOptionError
 from pgti_gtsam.estimate import optimised
 from pgti_gtsam.factor_graphs import BETWEEN, check_map, checked_closure, graph_of, without
 from pgti_gtsam.gate.decision import ClosureDecision
 from pgti_gtsam.gate.gate import LoopClosureGate
-from pgti_gtsam.gate.settled import Settled
 from pgti_gtsam.pose_graph import PoseGraph, Radii, key_label
 from pgti_gtsam.track import closure_edges
 

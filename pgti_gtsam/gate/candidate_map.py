@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pgti_gtsam.drift.settled import Settled, settle
 from pgti_gtsam.gate.decision import Change
 from pgti_gtsam.gate.reference_map import ReferenceMap
 from pgti_gtsam.gate.scored_map import ScoredMap
-from pgti_gtsam.gate.settled import Settled, settle
 from pgti_gtsam.gate.terms.contact_rise import Contacts, contacts
 from pgti_gtsam.integrity import Integrity, assess
 from pgti_gtsam.pose_graph import PoseGraph

@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pgti_gtsam.adapter.values import Keyframes, typed_value
+from pgti_gtsam.drift.settled import Settled
+from pgti_gtsam.drift.ties import Offered
+from pgti_gtsam.drift.units import variances_of
 from pgti_gtsam.errors import UnsolvableGraphError
 from pgti_gtsam.estimate import optimised
 from pgti_gtsam.factor_graphs import BETWEEN, factors_of, graph_of, keys_of, measured_from
 from pgti_gtsam.gate.revisits import revisits
-from pgti_gtsam.gate.settled import Settled
-from pgti_gtsam.gate.ties import Offered
-from pgti_gtsam.gate.units import variances_of
 
 AGREEMENT, AGREEMENT_RAD = 0.5, 0.35
 """How far apart two closures of a revisit may put a place and still say the same, in ρ and in rad."""

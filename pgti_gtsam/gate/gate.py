@@ -14,19 +14,20 @@ from scipy.special import logit
 
 from pgti_gtsam.adapter import from_gtsam
 from pgti_gtsam.checks import in_a_line
+from pgti_gtsam.drift.left_out import given_others
+from pgti_gtsam.drift.log_odds import log_odds
+from pgti_gtsam.drift.settled import Settled, solvable
+from pgti_gtsam.drift.ties import Ties
 from pgti_gtsam.errors import InvalidGraphError, InvalidOptionError, MissingValueError
 from pgti_gtsam.factor_graphs import Closure, check_map, checked_closure, closure_graphs, factors_of, keys_of
 from pgti_gtsam.gate import paper_rule
 from pgti_gtsam.gate.admission import DOUBT, Admission, Weight, some_of
 from pgti_gtsam.gate.candidate_map import CandidateMaps
 from pgti_gtsam.gate.decision import ClosureDecision, Term, Verdict
-from pgti_gtsam.gate.grown_map import GrownMap
-from pgti_gtsam.gate.left_out import given_others
+from pgti_gtsam.gate.kept.grown_map import GrownMap
 from pgti_gtsam.gate.options import GateOptions
 from pgti_gtsam.gate.reference_map import ReferenceMap
-from pgti_gtsam.gate.settled import Settled, solvable
-from pgti_gtsam.gate.terms import contact_rise, drift
-from pgti_gtsam.gate.ties import Ties
+from pgti_gtsam.gate.terms import contact_rise
 from pgti_gtsam.pose_graph import PoseGraph, Radii, key_label
 
 _LOG = logging.getLogger(__name__)
@@ -321,7 +322,7 @@ class LoopClosureGate:
         if decision is None:
             return None
         if decision.accepted and len(ties) > 1:
-            odds = drift.log_odds(grown.units, *given_others(*predicted, offered.variances))
+            odds = log_odds(grown.units, *given_others(*predicted, offered.variances))
             if (odds < 0).any():
                 return None
         return tuple(replace(decision, keys=_keys(closure), judged_with=len(ties)) for closure in closures)

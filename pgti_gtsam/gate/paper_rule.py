@@ -12,10 +12,10 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from pgti_gtsam.drift.settled import Settled, settle
 from pgti_gtsam.gate.admission import Weight
 from pgti_gtsam.gate.decision import Term
 from pgti_gtsam.gate.options import GateOptions
-from pgti_gtsam.gate.settled import Settled, settle
 from pgti_gtsam.integrity import Integrity
 
 SCORES = {

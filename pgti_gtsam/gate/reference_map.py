@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pgti_gtsam.adapter.values import Keyframes, read_keyframes
+from pgti_gtsam.drift.model import DriftModel, drift_model
+from pgti_gtsam.drift.settled import Settled, settle
+from pgti_gtsam.drift.ties import Offered
 from pgti_gtsam.gate.candidates import agreeing, implied_tie, measured_ties
-from pgti_gtsam.gate.drift_model import DriftModel, drift_model
 from pgti_gtsam.gate.scored_map import ScoredMap
-from pgti_gtsam.gate.settled import Settled, settle
 from pgti_gtsam.gate.terms.contact_rise import Contacts, contacts
-from pgti_gtsam.gate.ties import Offered
 from pgti_gtsam.pose_graph import EdgeSource, PoseGraph
 from pgti_gtsam.track import Track, track_of
 

@@ -18,13 +18,13 @@ import numpy as np
 
 from pgti_gtsam.adapter.values import read_keyframes
 from pgti_gtsam.diagnosis import ClosureFinding, Diagnosis, diagnose
+from pgti_gtsam.drift.ties import OFFSET
 from pgti_gtsam.estimate import optimised
 from pgti_gtsam.factor_graphs import checked_closure, keys_of, without
 from pgti_gtsam.gate import ClosureDecision, LoopClosureGate, gate_graph
 from pgti_gtsam.gate.batch import optimum
 from pgti_gtsam.gate.decision import metres
 from pgti_gtsam.gate.reference_map import ReferenceMap
-from pgti_gtsam.gate.ties import OFFSET
 from pgti_gtsam.mending.alignment import Cloud, align, is_thin
 from pgti_gtsam.mending.clouds import Clouds, scans_of
 from pgti_gtsam.mending.records import Attempt, Mended, Wanted

@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
+from pgti_gtsam.drift.ties import OFFSET, OFFSET_RAD
+from pgti_gtsam.drift.units import translation_of, variances_of
 from pgti_gtsam.factor_graphs import BETWEEN, between_factor
 from pgti_gtsam.gate.decision import metres
 from pgti_gtsam.gate.reference_map import ReferenceMap
-from pgti_gtsam.gate.ties import OFFSET, OFFSET_RAD
-from pgti_gtsam.gate.units import translation_of, variances_of
 from pgti_gtsam.mending.alignment import FIT, Alignment, lengths
 from pgti_gtsam.mending.common_view import AGREES
 from pgti_gtsam.mending.records import Outcome, Wanted

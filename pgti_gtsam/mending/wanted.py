@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from pgti_gtsam.diagnosis.records import Diagnosis, Kind
-from pgti_gtsam.gate.own_closures import own_closures
+from pgti_gtsam.drift.own_closures import own_closures
+from pgti_gtsam.drift.ties import OFFSET
 from pgti_gtsam.gate.reference_map import ReferenceMap
-from pgti_gtsam.gate.ties import OFFSET
 from pgti_gtsam.mending.records import Wanted
 from pgti_gtsam.places import neighbourhoods, places_on
 from pgti_gtsam.track import track_of

@@ -19,10 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaln, logsumexp
 
-from pgti_gtsam.gate.settled import Settled
-from pgti_gtsam.gate.terms.drift import NEAR, NEAR_RAD, NEAR_SHARE, log_normal
-from pgti_gtsam.gate.ties import OFFSET, OFFSET_RAD
-from pgti_gtsam.gate.units import Units
+from pgti_gtsam.drift.log_odds import NEAR, NEAR_RAD, NEAR_SHARE, log_normal
+from pgti_gtsam.drift.settled import Settled
+from pgti_gtsam.drift.ties import OFFSET, OFFSET_RAD
+from pgti_gtsam.drift.units import Units
 
 SEEDS = 10
 """Pairs of revisits, those that agree best, from which a set is grown."""

@@ -14,7 +14,7 @@ from typing import Any
 
 from pgti_gtsam.errors import FileFormatError, InvalidOptionError, OutputError, PgtiError
 from pgti_gtsam.gate import LoopClosureGate
-from pgti_gtsam.gate.saved import read_state, write_state
+from pgti_gtsam.gate.smoothers.saved import read_state, write_state
 from pgti_gtsam.stream.session import Answer, Session
 
 EVERY = 2000

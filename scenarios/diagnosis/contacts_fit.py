@@ -20,8 +20,8 @@ from scipy.special import expit, logit
 
 from pgti_gtsam.adapter import from_gtsam
 from pgti_gtsam.diagnosis.contacts import Contacts
-from pgti_gtsam.gate.drift_model import drift_model
-from pgti_gtsam.gate.own_closures import own_closures
+from pgti_gtsam.drift.model import drift_model
+from pgti_gtsam.drift.own_closures import own_closures
 from pgti_gtsam.integrity import assess
 from scenarios.diagnosis import sparse
 from scenarios.diagnosis.courses import Course, course

@@ -19,9 +19,9 @@ from scipy.optimize import minimize
 from scipy.special import expit
 
 import pgti_gtsam as pgti
+from pgti_gtsam.drift.settled import settle
 from pgti_gtsam.gate.admission import DOUBT
 from pgti_gtsam.gate.reference_map import ReferenceMap
-from pgti_gtsam.gate.settled import settle
 from scenarios import measures, worlds
 from scenarios.evidence.rise_fit import arrivals, tied_rise
 from scenarios.problem import space

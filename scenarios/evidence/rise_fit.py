@@ -16,11 +16,11 @@ import numpy as np
 from scipy.special import expit, logit
 
 import pgti_gtsam as pgti
+from pgti_gtsam.drift.settled import settle
 from pgti_gtsam.factor_graphs import checked_closure
 from pgti_gtsam.gate.admission import DOUBT
 from pgti_gtsam.gate.candidate_map import CandidateMaps
 from pgti_gtsam.gate.reference_map import ReferenceMap
-from pgti_gtsam.gate.settled import settle
 from pgti_gtsam.gate.terms.contact_rise import RISE, local_rise
 from scenarios import worlds
 from scenarios.aliasing import methods

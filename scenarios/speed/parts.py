@@ -13,13 +13,13 @@ import numpy as np
 
 import pgti_gtsam as pgti
 from pgti_gtsam import datasets
+from pgti_gtsam.drift.log_odds import log_odds
+from pgti_gtsam.drift.settled import settle
 from pgti_gtsam.estimate import optimised
 from pgti_gtsam.gate.batch import closure_ends
 from pgti_gtsam.gate.candidate_map import CandidateMaps
 from pgti_gtsam.gate.reference_map import ReferenceMap
-from pgti_gtsam.gate.settled import settle
 from pgti_gtsam.gate.terms.contact_rise import local_rise
-from pgti_gtsam.gate.terms.drift import log_odds
 from pgti_gtsam.integrity import STABLE_TIMES, relative_distortion, stable_scores, time_grid
 from pgti_gtsam.optimality import compare_optimality
 from pgti_gtsam.report.document import audit_document

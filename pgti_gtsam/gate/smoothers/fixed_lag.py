@@ -13,11 +13,11 @@ from pgti_gtsam.errors import InvalidClosureError, InvalidOptionError, MissingVa
 from pgti_gtsam.factor_graphs import Closure, factors_of, graph_of, joined, slots_of
 from pgti_gtsam.gate.decision import ClosureDecision
 from pgti_gtsam.gate.gate import LoopClosureGate
-from pgti_gtsam.gate.gated import GatedSmoother
-from pgti_gtsam.gate.history import GatedUpdate, Offer, Step
-from pgti_gtsam.gate.kept_map import News, WholeMap, check_news
-from pgti_gtsam.gate.remembered import Remembered
-from pgti_gtsam.gate.saved import State, decoded, encoded
+from pgti_gtsam.gate.smoothers.gated import GatedSmoother
+from pgti_gtsam.gate.smoothers.history import GatedUpdate, Offer, Step
+from pgti_gtsam.gate.smoothers.kept_map import News, WholeMap, check_news
+from pgti_gtsam.gate.smoothers.remembered import Remembered
+from pgti_gtsam.gate.smoothers.saved import State, decoded, encoded
 from pgti_gtsam.pose_graph import key_label
 
 KINDS = (gtsam.IncrementalFixedLagSmoother, gtsam.BatchFixedLagSmoother)

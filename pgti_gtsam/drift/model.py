@@ -19,10 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pgti_gtsam.adapter.values import read_keyframes
+from pgti_gtsam.drift.ties import Offered, Ties, alike, closures_of, free_space_unit, ties_of, unobservable_of
+from pgti_gtsam.drift.units import Units
+from pgti_gtsam.drift.upright import chained, upright
 from pgti_gtsam.factor_graphs import factors_of, keys_of
-from pgti_gtsam.gate.ties import Offered, Ties, alike, closures_of, free_space_unit, ties_of, unobservable_of
-from pgti_gtsam.gate.units import Units
-from pgti_gtsam.gate.upright import chained, upright
 from pgti_gtsam.places import places_on
 from pgti_gtsam.pose_graph import PoseGraph
 from pgti_gtsam.track import track_of

@@ -15,11 +15,11 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
+from pgti_gtsam.drift.model import DriftModel
+from pgti_gtsam.drift.ties import Offered, Ties, adjoints, errors_of
 from pgti_gtsam.errors import UnsolvableGraphError
 from pgti_gtsam.estimate import optimised
 from pgti_gtsam.factor_graphs import between_factor
-from pgti_gtsam.gate.drift_model import DriftModel
-from pgti_gtsam.gate.ties import Offered, Ties, adjoints, errors_of
 from pgti_gtsam.spectral.block_inverse import TOGETHER, BlockFactor, factorise, own_products, products, solve
 from pgti_gtsam.spectral.elimination_tree import EliminationTree, analyse
 from pgti_gtsam.spectral.laplacian import connected_components

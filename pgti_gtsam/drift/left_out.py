@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from pgti_gtsam.gate.settled import Settled
+from pgti_gtsam.drift.settled import Settled
 from pgti_gtsam.spectral.laplacian import connected_components
 
 LEAST_REST = 1e-6

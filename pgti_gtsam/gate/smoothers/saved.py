@@ -22,16 +22,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pgti_gtsam import outputs
+from pgti_gtsam.drift.ties import level_closures
+from pgti_gtsam.drift.units import Units
 from pgti_gtsam.errors import FileFormatError, InvalidGraphError
 from pgti_gtsam.factor_graphs import factors_of, graph_of, slots_of
-from pgti_gtsam.gate.grown_map import GrownMap, Tail, robot_of
-from pgti_gtsam.gate.history import Offer
-from pgti_gtsam.gate.kept_map import KeptMap, Standing
-from pgti_gtsam.gate.kept_optimum import KeptOptimum
-from pgti_gtsam.gate.known_closures import KnownClosures
-from pgti_gtsam.gate.pose_rows import pose_of, rows_of
-from pgti_gtsam.gate.ties import level_closures
-from pgti_gtsam.gate.units import Units
+from pgti_gtsam.gate.kept.grown_map import GrownMap, Tail, robot_of
+from pgti_gtsam.gate.kept.kept_optimum import KeptOptimum
+from pgti_gtsam.gate.kept.known_closures import KnownClosures
+from pgti_gtsam.gate.kept.pose_rows import pose_of, rows_of
+from pgti_gtsam.gate.smoothers.history import Offer
+from pgti_gtsam.gate.smoothers.kept_map import KeptMap, Standing
 from pgti_gtsam.pose_graph import Radii
 from pgti_gtsam.spectral.block_inverse import BlockFactor
 from pgti_gtsam.spectral.elimination_tree import EliminationTree

@@ -15,14 +15,14 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
+from pgti_gtsam.drift.left_out import LEAST_REST
+from pgti_gtsam.drift.ties import Offered, Ties, closures_of, errors_of, step_variances
+from pgti_gtsam.drift.units import Units
 from pgti_gtsam.factor_graphs import BETWEEN, factors_of, keys_of, measured_from
 from pgti_gtsam.gate.candidates import agreement
-from pgti_gtsam.gate.kept_optimum import KeptOptimum
-from pgti_gtsam.gate.known_closures import Ends, KnownClosures, Prediction
-from pgti_gtsam.gate.left_out import LEAST_REST
+from pgti_gtsam.gate.kept.kept_optimum import KeptOptimum
+from pgti_gtsam.gate.kept.known_closures import Ends, KnownClosures, Prediction
 from pgti_gtsam.gate.reference_map import ReferenceMap
-from pgti_gtsam.gate.ties import Offered, Ties, closures_of, errors_of, step_variances
-from pgti_gtsam.gate.units import Units
 from pgti_gtsam.spectral.block_inverse import products, solve
 
 MOST_CLOSURES = 256

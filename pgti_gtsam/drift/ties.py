@@ -10,10 +10,10 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
+from pgti_gtsam.drift.units import Units, translation_of, variances_of
+from pgti_gtsam.drift.upright import Upright
 from pgti_gtsam.errors import NoRadiusError
 from pgti_gtsam.factor_graphs import measured_from
-from pgti_gtsam.gate.units import Units, translation_of, variances_of
-from pgti_gtsam.gate.upright import Upright
 from pgti_gtsam.pose_graph import EdgeSource, PoseGraph
 
 DRIFT = 0.03

@@ -13,16 +13,16 @@ import gtsam
 from pgti_gtsam.adapter import check_radii
 from pgti_gtsam.adapter.values import read_keyframes
 from pgti_gtsam.checks import shown
+from pgti_gtsam.drift.ties import free_space_unit
 from pgti_gtsam.errors import InvalidClosureError, InvalidOptionError
 from pgti_gtsam.factor_graphs import Closure, check_map, closure_graphs, factors_of, graph_of, joined, keys_of, without
 from pgti_gtsam.gate.decision import ClosureDecision
 from pgti_gtsam.gate.gate import LoopClosureGate
-from pgti_gtsam.gate.grown_map import GrownMap
-from pgti_gtsam.gate.history import GatedUpdate, Offer, Review, Step
-from pgti_gtsam.gate.kept_map import KeptMap, News, WholeMap, check_news
+from pgti_gtsam.gate.kept.grown_map import GrownMap
 from pgti_gtsam.gate.revisits import revisits
-from pgti_gtsam.gate.saved import SCHEMA, VERSION, Parts, State, read_state, write_state
-from pgti_gtsam.gate.ties import free_space_unit
+from pgti_gtsam.gate.smoothers.history import GatedUpdate, Offer, Review, Step
+from pgti_gtsam.gate.smoothers.kept_map import KeptMap, News, WholeMap, check_news
+from pgti_gtsam.gate.smoothers.saved import SCHEMA, VERSION, Parts, State, read_state, write_state
 from pgti_gtsam.pose_graph import Radii
 from pgti_gtsam.track import track_of
 

@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri, expit
 
-from pgti_gtsam.gate.drift_model import DriftModel
-from pgti_gtsam.gate.left_out import left_out, left_out_together
-from pgti_gtsam.gate.settled import Settled, settle, solvable
-from pgti_gtsam.gate.terms.drift import log_odds, log_odds_together
-from pgti_gtsam.gate.ties import OFFSET, OFFSET_RAD
-from pgti_gtsam.gate.units import Units
+from pgti_gtsam.drift.left_out import left_out, left_out_together
+from pgti_gtsam.drift.log_odds import log_odds, log_odds_together
+from pgti_gtsam.drift.model import DriftModel
+from pgti_gtsam.drift.settled import Settled, settle, solvable
+from pgti_gtsam.drift.ties import OFFSET, OFFSET_RAD
+from pgti_gtsam.drift.units import Units
 from pgti_gtsam.places import neighbourhoods
 
 PRIOR = float(np.log(19))

@@ -13,7 +13,7 @@ from pgti_gtsam.errors import InvalidOptionError, MissingValueError, UnsolvableG
 from pgti_gtsam.factor_graphs import BETWEEN, checked_closure, factors_of, joined, keys_of, slots_of
 from pgti_gtsam.gate.decision import ClosureDecision
 from pgti_gtsam.gate.gate import LoopClosureGate
-from pgti_gtsam.gate.grown_map import GrownMap
+from pgti_gtsam.gate.kept.grown_map import GrownMap
 from pgti_gtsam.pose_graph import Radii
 
 

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
-from pgti_gtsam.gate.ties import Ties, closures_of
-from pgti_gtsam.gate.units import Units
+from pgti_gtsam.drift.ties import Ties, closures_of
+from pgti_gtsam.drift.units import Units
 from pgti_gtsam.spectral.block_inverse import BlockFactor, HalfProducts
 
 Array = NDArray[np.float64]

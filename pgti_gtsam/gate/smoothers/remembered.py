@@ -10,7 +10,7 @@ from typing import Any
 import gtsam
 
 from pgti_gtsam.factor_graphs import factors_of, keys_of, slots_of, without
-from pgti_gtsam.gate.saved import State, graph_from, placed, placed_in, values_from
+from pgti_gtsam.gate.smoothers.saved import State, graph_from, placed, placed_in, values_from
 
 
 @dataclass(slots=True, eq=False)

@@ -13,10 +13,10 @@ from pgti_gtsam.checks import in_a_line
 from pgti_gtsam.errors import InvalidOptionError, UnsolvableGraphError
 from pgti_gtsam.factor_graphs import Closure, joined
 from pgti_gtsam.gate.gate import LoopClosureGate
-from pgti_gtsam.gate.gated import GatedSmoother
-from pgti_gtsam.gate.history import GatedUpdate, Step, made_anew, smoother_of
-from pgti_gtsam.gate.kept_map import WholeMap
-from pgti_gtsam.gate.saved import State, decoded, encoded, values_from
+from pgti_gtsam.gate.smoothers.gated import GatedSmoother
+from pgti_gtsam.gate.smoothers.history import GatedUpdate, Step, made_anew, smoother_of
+from pgti_gtsam.gate.smoothers.kept_map import WholeMap
+from pgti_gtsam.gate.smoothers.saved import State, decoded, encoded, values_from
 
 KIND = "ISAM2"
 

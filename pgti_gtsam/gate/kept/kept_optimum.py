@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pgti_gtsam.gate.pose_rows import pose_of, rows_of
-from pgti_gtsam.gate.settled import Settled
-from pgti_gtsam.gate.ties import Ties, level_closures
-from pgti_gtsam.gate.units import Units
+from pgti_gtsam.drift.settled import Settled
+from pgti_gtsam.drift.ties import Ties, level_closures
+from pgti_gtsam.drift.units import Units
+from pgti_gtsam.gate.kept.pose_rows import pose_of, rows_of
 from pgti_gtsam.spectral.block_inverse import BlockFactor
 
 Array = NDArray[np.float64]
