@@ -15,7 +15,7 @@ from scenarios import measures
 from scenarios.aliasing.methods import METHODS
 from scenarios.aliasing.tables import mean_and_interval
 from scenarios.aliasing.trials import SHARES
-from scenarios.worlds import TOLD
+from scenarios.worlds import ALIKE
 
 
 def draw(rows: Sequence[dict[str, Any]], path: Path) -> None:
@@ -33,16 +33,16 @@ def draw(rows: Sequence[dict[str, Any]], path: Path) -> None:
         if method == "gate":
             style = {"color": "black", "lw": 2.4}
         own = [row for row in rows if row["method"] == method]
-        told = [[r["f1"] for r in own if (r["setting"], r["share"]) == (name, 1.0)] for name in TOLD]
+        told = [[r["f1"] for r in own if (r["setting"], r["share"]) == (name, 1.0)] for name in ALIKE]
         shares = [[r["f1"] for r in own if (r["setting"], r["share"]) == ("right", share)] for share in SHARES]
-        _curve(axes[0], np.arange(len(TOLD)) + 0.02 * k, told, method, style)
+        _curve(axes[0], np.arange(len(ALIKE)) + 0.02 * k, told, method, style)
         _curve(axes[1], np.array(SHARES), shares, method, style)
         curves = [r["precisions"] for r in own if (r["setting"], r["share"]) == ("right", 1.0) and "precisions" in r]
         if curves:
             axes[2].plot(measures.RECALLS, np.mean(curves, axis=0), label=method, **style)
 
     # axes
-    axes[0].set_xticks(range(len(TOLD)), TOLD)
+    axes[0].set_xticks(range(len(ALIKE)), ALIKE)
     axes[0].set(xlabel="sigmas that methods are told", ylabel="F1 of accepted true closures", ylim=(0, 1.05))
     axes[1].set(xlabel="false closures per true one, right sigmas")
     axes[2].set(xlabel="recall", ylabel="precision, right sigmas")

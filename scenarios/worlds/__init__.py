@@ -30,9 +30,15 @@ MATCH = np.array([0.005, 0.005, 0.01, 0.1, 0.1, 0.05])
 """Standard deviations of a match, on top of what alignment errs: roll, pitch, yaw in rad, x, y, z in m."""
 
 FACTORS = {"a tenth": 0.1, "a third": 1 / 3, "right": 1.0, "three times": 3.0, "ten times": 10.0}
-"""Sigmas that methods are told, in units of the true ones; "identity" tells them 1 rad and 1 m."""
+"""Sigmas that methods are told, in units of the true ones."""
 
-TOLD = (*FACTORS, "identity")
+ALIKE = (*FACTORS, "identity")
+"""Odometry and closures alike; "identity" tells 1 rad and 1 m of both."""
+
+APART = {"odometry a tenth": (0.1, 1.0), "closures a tenth": (1.0, 0.1)}
+"""Factors of the sigmas of odometry and of closures."""
+
+TOLD = (*ALIKE, *APART)
 
 REACH = 30
 """Keyframes before a closure's later end that a false one carries along, when overlap is asked."""
@@ -166,7 +172,7 @@ def problem(
     if errors is not drift.USUAL:
         driven = drifting(driven, errors)
     planar, start = driven.layout.sensor.planar, driven.truth[0]
-    steps, matches = (_noise(sigmas, told, planar) for sigmas in (driven.odometry.sigmas, MATCH))
+    steps, matches = (_noise(own, planar) for own in _told(driven.odometry.sigmas, told))
 
     # odometry as methods get it
     graph, dim = gtsam.NonlinearFactorGraph(), 3 if planar else 6
@@ -252,9 +258,16 @@ def _thinned(driven: Drive, share: float) -> NDArray[np.int64]:
     return kept[np.lexsort((driven.pairs[kept, 0], driven.pairs[kept, 1]))]
 
 
-def _noise(sigmas: Array, told: str, planar: bool) -> gtsam.noiseModel.Base:
-    own = sigmas[[3, 4, 2]] if planar else sigmas
-    return gtsam.noiseModel.Diagonal.Sigmas(np.ones_like(own) if told == "identity" else own * FACTORS[told])
+def _told(steps: Array, told: str) -> tuple[Array, Array]:
+    """Sigmas of odometry and of closures that methods are told."""
+    if told == "identity":
+        return np.ones_like(steps), np.ones_like(MATCH)
+    odometry, closures = APART[told] if told in APART else (FACTORS[told],) * 2
+    return steps * odometry, MATCH * closures
+
+
+def _noise(sigmas: Array, planar: bool) -> gtsam.noiseModel.Base:
+    return gtsam.noiseModel.Diagonal.Sigmas(sigmas[[3, 4, 2]] if planar else sigmas)
 
 
 def _flat(pose: gtsam.Pose3, planar: bool) -> gtsam.Pose2 | gtsam.Pose3:
