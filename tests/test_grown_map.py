@@ -153,6 +153,34 @@ def test_what_is_more_than_appended_is_not_grown(world):
     assert grown.grown([news(world, first, first + 1)]).places[first + 1] == first + 1
 
 
+def test_a_map_that_grows_at_once_is_the_map_that_grows_step_by_step(world):
+    """Steps of two robots in turn, whose keys do not ascend from update to update; the older map stays as it is."""
+    first, last, other = LAP, LAP + 9, gtsam.symbol("b", 0)
+    graph, values = part(world, first)
+    graph.push_back(between(0, other, world.truth[0].between(world.truth[1])))
+    values.insert(other, world.truth[1])
+    start = GrownMap.of(GATE.reference_map(graph, values, RADIUS))
+    steps = []
+    for k in range(first, last):
+        own, more = gtsam.NonlinearFactorGraph(), gtsam.Values()
+        beside = other + k - first
+        own.push_back(between(beside, beside + 1, world.truth[0].between(world.truth[1])))
+        more.insert(beside + 1, world.truth[k])
+        steps += [(own, more), news(world, k, k + 1)]
+    by_step = start
+    for step in steps:
+        by_step = by_step.grown([step])
+    at_once = start.grown(steps)
+    assert dict(at_once.places) == dict(by_step.places)
+    assert list(at_once.places) == [*start.places, *(key for _, own in steps for key in own.keys())]  # noqa: SIM118
+    assert at_once.ends == by_step.ends == {0: last, other >> 56: other + last - first}
+    np.testing.assert_array_equal(at_once.tail.roots, by_step.tail.roots)
+    np.testing.assert_array_equal(at_once.tail.gathered, by_step.tail.gathered)
+    assert all(one.equals(two, 0) for one, two in zip(at_once.tail.poses, by_step.tail.poses, strict=True))
+    assert len(start.places) == first + 2
+    assert start.grown([]) is start
+
+
 def test_a_closure_that_bends_the_map_asks_for_a_new_one(world):
     grown = GrownMap.of(GATE.reference_map(*part(world, LAP + 60), RADIUS))
     assert grown.tied_by(world.closure(8, LAP + 8)) is not None
