@@ -199,8 +199,9 @@ def _named(key: int) -> str:
 
 def _roles(reader: FactorReader, covisible: NDArray[np.int64], closures: list[int] | None) -> Roles:
     """The odometry among the factors between keyframes."""
-    own = [row.slot for row in reader.between]
-    stray = sorted(set(closures or ()) - set(own))
+    own = np.array([row.slot for row in reader.between], dtype=np.int64)
+    motions = np.array([row.is_motion for row in reader.between], dtype=bool)
+    stray = sorted(set(closures or ()).difference(own[~motions].tolist()))
     if stray:
         raise InvalidOptionError(
             f"expected slots of factors between two keyframes as closures, got slot {stray[0]}, which holds none"
@@ -213,7 +214,8 @@ def _roles(reader: FactorReader, covisible: NDArray[np.int64], closures: list[in
         [Tie(row.i, row.j, row.pose) for row in reader.between],
         covisible=covisible,
         held=held,
-        closures=None if closures is None else np.isin(np.array(own, dtype=np.int64), closures),
+        motions=motions,
+        closures=None if closures is None else np.isin(own, closures),
     )
 
 
@@ -275,12 +277,13 @@ def _adaptation(
     most_shared: int,
     min_shared: int,
 ) -> Adaptation:
-    used = reader.counts[Family.BETWEEN] + reader.counts[Family.SIGHTING] + reader.counts[Family.SMART]
+    counts = reader.counts
+    used = counts[Family.BETWEEN] + counts[Family.MOTION] + counts[Family.SIGHTING] + counts[Family.SMART]
     placed = np.isfinite(sightings.landmark_positions).all(axis=1)
     return Adaptation(
         used=dict(used),
-        ignored=dict(reader.counts[Family.IGNORED]),
-        unknown=dict(reader.counts[Family.UNKNOWN]),
+        ignored=dict(counts[Family.IGNORED]),
+        unknown=dict(counts[Family.UNKNOWN]),
         empty_slots=reader.empty_slots,
         n_landmarks=int(placed.sum()),
         n_observations=len(sightings.keyframes),

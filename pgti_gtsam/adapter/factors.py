@@ -37,7 +37,8 @@ class Between(NamedTuple):
     """Two keyframes tied by a factor, i < j.
 
     The information in the tangent space of j, or None; the measured distance in metres, or NaN; the measured pose of j
-    seen from i, a gtsam.Pose2 or gtsam.Pose3, or None.
+    seen from i, a gtsam.Pose2 or gtsam.Pose3, or None; and whether an inertial or other factor of the motion ties them,
+    which is odometry for sure.
     """
 
     i: int
@@ -46,6 +47,7 @@ class Between(NamedTuple):
     information: Vector | None
     length: float
     pose: Any
+    is_motion: bool = False
 
 
 @dataclass(slots=True)
@@ -81,7 +83,12 @@ class FactorReader:
         ------
         MissingValueError, UnusedValueError, InvalidValueError
         """
-        handlers = {Family.BETWEEN: self._between, Family.SIGHTING: self._sighting, Family.SMART: self._smart}
+        handlers = {
+            Family.BETWEEN: self._between,
+            Family.MOTION: self._motion,
+            Family.SIGHTING: self._sighting,
+            Family.SMART: self._smart,
+        }
         found = slots_of(graph)
         self.empty_slots += graph.size() - len(found)
         for slot, factor in found:
@@ -121,6 +128,14 @@ class FactorReader:
             information = _reversed(information, measured)
             i, j = j, i
         self.between.append(Between(i, j, slot, information, _length(measured), pose))
+
+    def _motion(self, slot: int, factor: Any, keys: list[int]) -> None:
+        missing = next((key for key in keys if not self.keyframes.values.exists(key)), None)
+        if missing is not None:
+            raise MissingValueError(_missing(slot, factor, missing))
+        rows = sorted({self.keyframes.index[key] for key in keys if key in self.keyframes.index})
+        if len(rows) > 1:
+            self.between.append(Between(rows[0], rows[-1], slot, None, np.nan, None, is_motion=True))
 
     def _sighting(self, slot: int, factor: Any, keys: list[int]) -> None:
         i, mark = self._keyframe(slot, factor, keys[0]), self._landmark(slot, factor, keys)

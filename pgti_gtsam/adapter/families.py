@@ -11,6 +11,7 @@ class Family(enum.Enum):
     """The meaning of a factor for the pose graph."""
 
     BETWEEN = "ties two poses"
+    MOTION = "ties a pose to the next by the motion between"
     SIGHTING = "a pose sees a landmark variable"
     SMART = "several poses see one landmark, which is triangulated"
     IGNORED = "says nothing about connectivity or free space"
@@ -29,6 +30,10 @@ _CLASSES = {
         r"(Bearing|Range|BearingRange)FactorPose[23]",
         r"RangeFactorWithTransformPose[23]",
         r"RangeFactor(Calibrated|Simple)Camera",
+    ),
+    Family.MOTION: (
+        r"(Galilean)?(Combined)?ImuFactor\w*",
+        r"ConstantVelocityFactor|WnoaMotionFactor\w+",
     ),
     Family.SIGHTING: (
         r"(Bearing|Range|BearingRange)Factor[23]D",
@@ -54,12 +59,11 @@ _CLASSES = {
         r"ConcentratedGaussian\w+",
         r"KarcherMeanFactor\w+",
         r"LinearContainerFactor",
-        # inertial, satellite, magnetic, barometric
-        r"(Galilean)?(Combined)?ImuFactor\w*",
-        r"(AHRS|Attitude|Barometric|ConstantVelocity|Mag|MagPose)Factor\w*",
+        # attitude, satellite, magnetic, barometric
+        r"(AHRS|Attitude|Barometric|Mag|MagPose)Factor\w*",
         r"GPSFactor\w*",
         r"(Differential|DoubleDifference|Undifferenced)?(Pseudorange|CarrierPhase|Doppler)Factor\w*",
-        r"Wnoa(Interp|Motion)Factor\w+",
+        r"WnoaInterpFactor\w+",
         # between variables that are no poses
         r"(BetweenFactor|Frobenius(Left)?(Between)?Factor(NL)?)(ConstantBias|Double|Point[23]|Rot[23]|SL4|SO[34n]|Vector)",
         r"RangeFactor[23]|QuadraticRangeFactor[23]|RelativeTranslationFactor[23]",
@@ -81,8 +85,7 @@ _PATTERNS = [(family, re.compile("|".join(patterns))) for family, patterns in _C
 def family_of(class_name: str) -> Family:
     """Family of a factor class, by its name in the wheel.
 
-    A pose of NavState, Similarity or camera type stands for its position. Planes, known landmarks
-    and priors are known and ignored; so are inertial and satellite factors, since such factors do not say
-    that two keyframes see the same place.
+    A pose of NavState, Similarity or camera type stands for its position. Planes, known landmarks, priors and satellite
+    factors are known and ignored. Inertial factors and constant velocity are odometry, and nothing else.
     """
     return next((family for family, pattern in _PATTERNS if pattern.fullmatch(class_name)), Family.UNKNOWN)

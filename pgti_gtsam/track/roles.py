@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pgti_gtsam.pair_codes import codes_of
+from pgti_gtsam.pair_codes import codes_of, pairs_of
 from pgti_gtsam.track.chains import Pairs, chains_of
 from pgti_gtsam.track.skips import Tie, explained
 from pgti_gtsam.track.steps import steps_among
@@ -51,6 +51,7 @@ def roles(
     *,
     covisible: Pairs | None = None,
     held: NDArray[np.bool_] | None = None,
+    motions: NDArray[np.bool_] | None = None,
     closures: NDArray[np.bool_] | None = None,
 ) -> Roles:
     """Tell odometry from loop closures.
@@ -66,6 +67,8 @@ def roles(
     held : (n,) bool, optional
         Keyframes that other factors tie. A keyframe without such a factor, and without a step, hangs on its nearest
         tie, which is odometry, for want of any other.
+    motions : (m,) bool, optional
+        Ties that are known to be steps: those by inertial factors, say.
     closures : (m,) bool, optional
         Ties that are known to be loop closures. All others are odometry then.
 
@@ -81,6 +84,8 @@ def roles(
     steps = steps_among(
         keys, pairs[~known], _NONE if covisible is None else covisible, np.zeros(n, bool) if held is None else held
     )
+    if motions is not None:
+        steps = pairs_of(np.unique(codes_of(np.concatenate([steps, pairs[motions]]), n)), n)
     chain = chains_of(n, steps)
     is_step = ~known & np.isin(codes_of(pairs, n), codes_of(steps, n))
 
