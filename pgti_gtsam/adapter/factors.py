@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pgti_gtsam.adapter.families import Family, family_of
 from pgti_gtsam.adapter.values import Keyframes, landmark_position
 from pgti_gtsam.errors import MissingValueError, UnusedValueError
-from pgti_gtsam.factor_graphs import keys_of, measured_from, slots_of
+from pgti_gtsam.factor_graphs import keys_of, slots_of
 from pgti_gtsam.sightings import Sightings
 
 Vector = NDArray[np.float64]
@@ -122,7 +122,7 @@ class FactorReader:
         if i == j:
             return
         measured = factor.measured() if hasattr(factor, "measured") else None
-        pose = measured_from(factor, int(self.keyframes.keys[min(i, j)]))
+        pose = self.keyframes.measured(factor, int(self.keyframes.keys[min(i, j)]))
         information = _information(factor) if self.reads_noise else None
         if i > j:
             information = _reversed(information, measured)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pgti_gtsam.errors import InvalidValueError, NoPoseError
+from pgti_gtsam.factor_graphs import BETWEEN, keys_of, measured_from
 
 _CALIBRATIONS = ("Cal3_S2", "Cal3DS2", "Cal3Bundler", "Cal3Fisheye", "Cal3Unified", "Cal3f")
 _CAMERAS = (*(f"{kind}{k}" for kind in ("PinholeCamera", "PinholePose") for k in _CALIBRATIONS), "SphericalCamera")
@@ -72,6 +73,32 @@ class Keyframes:
         """The Pose2 or Pose3 of a keyframe."""
         return self.poses.get(key) or typed_value(self.values, "Pose3", key) or self.values.atPose2(key)
 
+    def measured(self, factor: Any, first: int) -> Any | None:
+        """Pose of a factor's other keyframe, seen from the keyframe `first`, as the factor measures it.
+
+        A similarity, a NavState and their like measure from the value at `first`, in that value's scale, say.
+
+        Parameters
+        ----------
+        factor : gtsam.NonlinearFactor
+            A factor of two keys.
+        first : int
+            The key from which the pose is seen.
+
+        Returns
+        -------
+        gtsam.Pose2, gtsam.Pose3 or None
+            None where the factor measures no pose.
+        """
+        if isinstance(factor, BETWEEN) or not measures_pose(factor):
+            return measured_from(factor, first)
+        motion = factor.measured()
+        value = typed_value(self.values, type(motion).__name__, first)
+        if value is None:
+            return None
+        reached = value.compose(motion if keys_of(factor)[0] == first else motion.inverse())
+        return self.pose(first).between(_POSE_OF[type(motion).__name__](reached))
+
     def to_world(self, key: int, point: NDArray[np.float64]) -> NDArray[np.float64]:
         """World coordinates, (3,), of a point given in the frame of a keyframe, (2,) or (3,).
 
@@ -83,6 +110,13 @@ class Keyframes:
         pose = self.pose(key)
         placed = pose.transformFrom(point[: 2 if isinstance(pose, gtsam.Pose2) else 3])
         return in_space(placed)
+
+
+def measures_pose(factor: Any) -> bool:
+    """Whether a factor measures the relative pose of two keyframes, of any type that `Keyframes.pose` reads."""
+    return isinstance(factor, BETWEEN) or (
+        hasattr(factor, "measured") and type(factor.measured()).__name__ in _POSE_OF and len(keys_of(factor)) == 2
+    )
 
 
 def read_keyframes(values: gtsam.Values) -> Keyframes:

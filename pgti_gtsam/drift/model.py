@@ -96,7 +96,7 @@ def drift_model(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, pose_gr
     """
     unit, keyframes = free_space_unit(pose_graph), read_keyframes(values)
     poses = alike([keyframes.pose(int(key)) for key in pose_graph.keys])
-    ties = ties_of(graph, pose_graph, poses, unit)
+    ties = ties_of(graph, pose_graph, keyframes, poses, unit)
     levelling: Any = gtsam.Pose2()
     tilt = 1.0
 

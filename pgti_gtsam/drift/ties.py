@@ -10,10 +10,10 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
+from pgti_gtsam.adapter.values import Keyframes
 from pgti_gtsam.drift.units import Units, translation_of, variances_of
 from pgti_gtsam.drift.upright import Upright
 from pgti_gtsam.errors import NoRadiusError
-from pgti_gtsam.factor_graphs import measured_from
 from pgti_gtsam.pose_graph import EdgeSource, PoseGraph
 
 DRIFT = 0.03
@@ -130,19 +130,23 @@ class Ties:
         return replace(self, measured=measured, variances=variances)
 
 
-def ties_of(graph: gtsam.NonlinearFactorGraph, pose_graph: PoseGraph, poses: Sequence[Any], unit: float) -> Ties:
+def ties_of(
+    graph: gtsam.NonlinearFactorGraph, pose_graph: PoseGraph, keyframes: Keyframes, poses: Sequence[Any], unit: float
+) -> Ties:
     """Odometry, closures and shared landmarks, of the edges in order.
 
     Parameters
     ----------
     graph : gtsam.NonlinearFactorGraph
     pose_graph : PoseGraph
-    poses : sequence of object
+    keyframes : Keyframes
+    poses : sequence of gtsam.Pose2 or gtsam.Pose3
+        Those of the keyframes, all of one type.
     unit : float
         ρ, m.
     """
-    planar = isinstance(poses[0], gtsam.Pose2)
     keys = pose_graph.keys.tolist()
+    planar = isinstance(poses[0], gtsam.Pose2)
     rows: list[tuple[tuple[int, int], Any, Array, int, float]] = []
     held = np.flatnonzero(pose_graph.edge_sources & HOLDING)
     own_slots = [pose_graph.edge_slots[k] for k in held.tolist()]
@@ -150,7 +154,7 @@ def ties_of(graph: gtsam.NonlinearFactorGraph, pose_graph: PoseGraph, poses: Seq
     tolerance = variances_of(OFFSET * unit, OFFSET_RAD, is_planar=planar)
     for (i, j), source, slots in known:
         is_skip = bool(source & SKIP)
-        measured = [(measured_from(graph.at(slot), keys[i]), -1 if is_skip else slot) for slot in slots]
+        measured = [(keyframes.measured(graph.at(slot), keys[i]), -1 if is_skip else slot) for slot in slots]
         found = [(_alike(z, planar), slot) for z, slot in measured if z is not None]
 
         # a step of the track drifts with its length

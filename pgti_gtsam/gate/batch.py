@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import gtsam
 import numpy as np
 
-from pgti_gtsam.adapter.values import typed_value
+from pgti_gtsam.adapter.values import measures_pose, typed_value
 from pgti_gtsam.checks import shown
 from pgti_gtsam.drift.settled import Settled
 from pgti_gtsam.errors import InvalidOptionError
 from pgti_gtsam.estimate import optimised
-from pgti_gtsam.factor_graphs import BETWEEN, check_map, checked_closure, graph_of, without
+from pgti_gtsam.factor_graphs import check_map, checked_closure, graph_of, without
 from pgti_gtsam.gate.decision import ClosureDecision
 from pgti_gtsam.gate.gate import LoopClosureGate
 from pgti_gtsam.pose_graph import PoseGraph, Radii, key_label
@@ -66,7 +66,7 @@ def closure_ends(
     closing = closure_edges(pose_graph) if closures is None else np.ones(len(pose_graph.edges), dtype=bool)
     rows = np.flatnonzero(closing).tolist()
     ends = {slot: tuple(pose_graph.edges[k].tolist()) for k in rows for slot in pose_graph.edge_slots[k]}
-    chosen = (slot for slot in ends if isinstance(graph.at(slot), BETWEEN)) if closures is None else set(closures)
+    chosen = (slot for slot in ends if measures_pose(graph.at(slot))) if closures is None else set(closures)
     return {slot: ends[slot] for slot in sorted(chosen)}
 
 

@@ -9,13 +9,13 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from pgti_gtsam.adapter.values import Keyframes, typed_value
+from pgti_gtsam.adapter.values import Keyframes, measures_pose, typed_value
 from pgti_gtsam.drift.settled import Settled
 from pgti_gtsam.drift.ties import Offered
 from pgti_gtsam.drift.units import variances_of
 from pgti_gtsam.errors import UnsolvableGraphError
 from pgti_gtsam.estimate import optimised
-from pgti_gtsam.factor_graphs import BETWEEN, factors_of, graph_of, keys_of, measured_from
+from pgti_gtsam.factor_graphs import factors_of, graph_of, keys_of
 from pgti_gtsam.gate.revisits import revisits
 
 AGREEMENT, AGREEMENT_RAD = 0.5, 0.35
@@ -36,7 +36,7 @@ AS_WELL, EXACT = 1.01, 1e-6
 
 
 def measured_ties(closure: gtsam.NonlinearFactorGraph, keyframes: Keyframes) -> list[Offered]:
-    """The measurements of the between factors of a closure.
+    """The relative poses that the factors of a closure measure.
 
     Parameters
     ----------
@@ -45,9 +45,9 @@ def measured_ties(closure: gtsam.NonlinearFactorGraph, keyframes: Keyframes) -> 
     """
     found = []
     for factor in factors_of(closure):
-        if isinstance(factor, BETWEEN):
+        if measures_pose(factor):
             first, second = sorted(keys_of(factor), key=lambda key: keyframes.index[key])
-            found.append(Offered(keyframes.index[first], keyframes.index[second], measured_from(factor, first)))
+            found.append(Offered(keyframes.index[first], keyframes.index[second], keyframes.measured(factor, first)))
     return [tie for tie in found if tie.first != tie.second]
 
 
