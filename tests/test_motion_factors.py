@@ -8,7 +8,7 @@ import pytest
 from gtsam.symbol_shorthand import B, V, X
 
 import pgti_gtsam as pgti
-from pgti_gtsam.errors import InvalidOptionError, MissingValueError
+from pgti_gtsam.errors import InvalidOptionError, MissingValueError, UnsolvableGraphError
 from pgti_gtsam.pose_graph import EdgeSource
 from pgti_gtsam.track import closure_edges, track_of
 
@@ -116,13 +116,9 @@ def test_closures_on_inertial_odometry_are_weighed(name):
     assert np.isfinite(true.log_odds)
 
 
-def test_a_gated_smoother_takes_inertial_odometry():
-    graph, values = driven("CombinedImuFactor", LAP + 30)
-    parameters = gtsam.ISAM2Params()
-    parameters.setFactorization("QR")
-    isam = pgti.GatedISAM2(parameters, radii=4.0)
-    told = {}
-    for k in range(LAP + 30):
+def updates(graph, values, n):
+    """Factors, values and closures of every keyframe of a drive: a true closure, and a false one."""
+    for k in range(n):
         factors, own = gtsam.NonlinearFactorGraph(), gtsam.Values()
         if k == 0:
             for prior in (
@@ -141,7 +137,32 @@ def test_a_gated_smoother_takes_inertial_odometry():
             wrong = 20 * (k == LAP + 25)
             apart = true_pose(k - LAP).between(true_pose(k))
             closures = [gtsam.BetweenFactorPose3(X(k - LAP + wrong), X(k), apart, TIGHT)]
-        update = isam.update(factors, own, closures)
-        if update.decisions:
-            told[k] = update.decisions[0].verdict
-    assert told == {LAP + 20: "accepted", LAP + 25: "rejected"}
+        yield k, factors, own, closures
+
+
+def test_a_gated_smoother_takes_inertial_odometry():
+    parameters = gtsam.ISAM2Params()
+    parameters.setFactorization("QR")
+    isam, told = pgti.GatedISAM2(parameters, radii=4.0), []
+    for _, factors, own, closures in updates(*driven("CombinedImuFactor", LAP + 30), LAP + 30):
+        told += [decision.verdict for decision in isam.update(factors, own, closures).decisions]
+    assert told == ["accepted", "rejected"]
+
+
+def test_a_window_of_inertial_odometry_is_gated_and_resumed_with_its_parameters(tmp_path):
+    parameters = gtsam.LevenbergMarquardtParams()
+    parameters.setLinearSolverType("MULTIFRONTAL_QR")
+    window = pgti.GatedFixedLagSmoother(gtsam.BatchFixedLagSmoother(20.0, parameters), radii=4.0)
+    told = []
+    for k, factors, own, closures in updates(*driven("CombinedImuFactor", LAP + 30), LAP + 30):
+        times = dict.fromkeys((X(k), V(k), B(k)), k * PERIOD_S)
+        told += [decision.verdict for decision in window.update(factors, own, times, closures=closures).decisions]
+    assert told == ["accepted", "rejected"]
+
+    # the window is too poorly conditioned for GTSAM's default
+    window.save(tmp_path / "window.json")
+    with pytest.raises(UnsolvableGraphError, match="give the parameters of the first start"):
+        pgti.GatedFixedLagSmoother.load(tmp_path / "window.json")
+    resumed = pgti.GatedFixedLagSmoother.load(tmp_path / "window.json", parameters)
+    last = X(LAP + 29)
+    assert resumed.estimate().atPose3(last).equals(window.estimate().atPose3(last), 1e-6)

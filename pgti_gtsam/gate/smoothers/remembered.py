@@ -9,6 +9,8 @@ from typing import Any
 
 import gtsam
 
+from pgti_gtsam.checks import in_a_line
+from pgti_gtsam.errors import UnsolvableGraphError
 from pgti_gtsam.factor_graphs import factors_of, keys_of, slots_of, without
 from pgti_gtsam.gate.smoothers.saved import State, graph_from, placed, placed_in, values_from
 
@@ -68,10 +70,21 @@ class Remembered:
             Of the whole map.
         parameters : gtsam.ISAM2Params or gtsam.LevenbergMarquardtParams, optional
             Of the smoother.
+
+        Raises
+        ------
+        UnsolvableGraphError
+            With these parameters the smoother has no optimum of its window.
         """
         smoother = getattr(gtsam, state["kind"])(state["lag"], *([] if parameters is None else [parameters]))
         factors = placed_in(state["factors"], graph, graph_from(state["factors_apart"]))
-        smoother.update(factors, values_from(state["values"]), dict(state["times"]))
+        try:
+            smoother.update(factors, values_from(state["values"]), dict(state["times"]))
+        except RuntimeError as error:
+            raise UnsolvableGraphError(
+                f"expected a window that the smoother can take, got: {in_a_line(error)}; give the parameters of the "
+                "first start"
+            ) from error
         found = cls(smoother)
         found.graph, found.behind, found.beyond = graph, values_from(state["behind"]), set(state["beyond"])
         return found
