@@ -124,3 +124,56 @@ def test_a_whole_graph_of_other_types_is_gated_and_audited(name):
     assert own[0].slot == true[-1] + 1
     assert own[0].probability < 0.01
     assert min(each.probability for each in own[1:]) > 0.9
+
+
+def holding(name):
+    """Factors that fix where keyframe 25 is, by the type of the keyframes."""
+    pose, three = true_pose(25), gtsam.noiseModel.Isotropic.Sigma(3, 1.0)
+    value, noise = TYPES[name][0](pose, 0.525), gtsam.noiseModel.Isotropic.Sigma(TYPES[name][2], 1.0)
+    found = [getattr(gtsam, f"PriorFactor{name}")(25, value, noise)]
+    if name == "NavState":
+        found.append(gtsam.GPSFactor2(25, pose.translation(), three))
+        found.append(gtsam.GPSFactor2Arm(25, pose.translation(), np.zeros(3), three))
+    else:
+        found.append(getattr(gtsam, f"NonlinearEquality{name}")(25, value))
+    return found
+
+
+@pytest.mark.parametrize("name", list(TYPES))
+def test_positions_in_the_world_hold_keyframes_of_every_type(name):
+    graph, values, closure = driven(name, 60)
+    gate, offered = pgti.LoopClosureGate(), closure(0, 50)
+    free = gate.evaluate(graph, values, offered, 1.0)
+    for factor in holding(name):
+        held = gtsam.NonlinearFactorGraph(graph)
+        held.push_back(getattr(gtsam, f"PriorFactor{name}")(0, value_at(values, name, 0), noise_of(name)))
+        held.push_back(factor)
+        model = gate.reference_map(held, values, 1.0).settled.model
+        assert np.flatnonzero(model.held).tolist() == [0, 25], type(factor).__name__
+        assert allowed_m(gate.evaluate(held, values, offered, 1.0)) < 0.8 * allowed_m(free)
+
+
+def test_what_says_nothing_of_the_position_holds_no_keyframe():
+    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    for k in range(3):
+        values.insert(k, true_pose(k))
+        if k:
+            between = gtsam.BetweenFactorPose3(k - 1, k, true_pose(k - 1).between(true_pose(k)), noise_of("Pose3"))
+            graph.push_back(between)
+    graph.push_back(gtsam.PoseRotationPrior3D(1, gtsam.Rot3(), gtsam.noiseModel.Isotropic.Sigma(3, 1.0)))
+    graph.push_back(gtsam.PoseTranslationPrior3D(2, np.array([4.0, 0, 0]), gtsam.noiseModel.Isotropic.Sigma(3, 1.0)))
+    model = pgti.LoopClosureGate().reference_map(graph, values, 1.0).settled.model
+    assert model.held.tolist() == [False, False, True]
+
+
+def value_at(values, name, key):
+    return getattr(values, f"at{name}")(key)
+
+
+def noise_of(name):
+    return gtsam.noiseModel.Isotropic.Sigma(TYPES[name][2] if name in TYPES else 6, 0.01)
+
+
+def allowed_m(decision):
+    """The standard deviation that the decision's first reason names."""
+    return float(decision.terms["drift"].sentence.rsplit("give or take ", 1)[1].split()[0])

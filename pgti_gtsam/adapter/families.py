@@ -33,7 +33,7 @@ _CLASSES = {
     ),
     Family.MOTION: (
         r"(Galilean)?(Combined)?ImuFactor\w*",
-        r"ConstantVelocityFactor|WnoaMotionFactor\w+",
+        r"ConstantVelocityFactor|WnoaMotionFactorPose[23]",
     ),
     Family.SIGHTING: (
         r"(Bearing|Range|BearingRange)Factor[23]D",
@@ -63,7 +63,7 @@ _CLASSES = {
         r"(AHRS|Attitude|Barometric|Mag|MagPose)Factor\w*",
         r"GPSFactor\w*",
         r"(Differential|DoubleDifference|Undifferenced)?(Pseudorange|CarrierPhase|Doppler)Factor\w*",
-        r"WnoaInterpFactor\w+",
+        r"WnoaInterpFactor\w+|WnoaMotionFactorPoint[123]",
         # between variables that are no poses
         r"(BetweenFactor|Frobenius(Left)?(Between)?Factor(NL)?)(ConstantBias|Double|Point[23]|Rot[23]|SL4|SO[34n]|Vector)",
         r"RangeFactor[23]|QuadraticRangeFactor[23]|RelativeTranslationFactor[23]",
@@ -78,6 +78,11 @@ _CLASSES = {
     ),
 }
 
+_HOLDING = re.compile(
+    rf"((Extended)?PriorFactor|NonlinearEquality|FrobeniusPrior|ConcentratedGaussian){_POSE}"
+    r"|PoseTranslationPrior[23]D|GPSFactor\w*"
+)
+
 _PATTERNS = [(family, re.compile("|".join(patterns))) for family, patterns in _CLASSES.items()]
 
 
@@ -89,3 +94,9 @@ def family_of(class_name: str) -> Family:
     factors are known and ignored. Inertial factors and constant velocity are odometry, and nothing else.
     """
     return next((family for family, pattern in _PATTERNS if pattern.fullmatch(class_name)), Family.UNKNOWN)
+
+
+@functools.cache
+def holds_position(class_name: str) -> bool:
+    """Whether factors of a class fix where a keyframe is in the world, by the class's name in the wheel."""
+    return _HOLDING.fullmatch(class_name) is not None

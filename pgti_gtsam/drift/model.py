@@ -18,6 +18,7 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
+from pgti_gtsam.adapter.families import holds_position
 from pgti_gtsam.adapter.values import read_keyframes
 from pgti_gtsam.drift.ties import Offered, Ties, alike, closures_of, free_space_unit, ties_of, unobservable_of
 from pgti_gtsam.drift.units import Units
@@ -132,13 +133,9 @@ def _parted(pose: Any) -> Array:
 
 
 def _held(graph: gtsam.NonlinearFactorGraph, index: dict[int, int]) -> NDArray[np.bool_]:
-    """Keyframes with a factor of their own."""
+    """Keyframes whose position in the world a factor fixes."""
     held = np.zeros(len(index), dtype=bool)
     for factor in factors_of(graph):
-        keys = keys_of(factor)
-        if len(keys) == 1 and keys[0] in index and isinstance(factor, _HOLDING):
-            held[index[keys[0]]] = True
+        if holds_position(type(factor).__name__):
+            held[[index[key] for key in keys_of(factor) if key in index]] = True
     return held
-
-
-_HOLDING = (gtsam.PriorFactorPose2, gtsam.PriorFactorPose3, gtsam.GPSFactor)
