@@ -1,11 +1,14 @@
 """A diagnosis names what was done to a map: nothing, a closure dropped, a false one, a drive out and back, a gap."""
 
+from types import SimpleNamespace
+
 import gtsam
 import numpy as np
 import pytest
 import streets
 
 import pgti_gtsam as pgti
+from pgti_gtsam.diagnosis import contacts
 from pgti_gtsam.diagnosis.contacts import by_later_stretch
 from pgti_gtsam.diagnosis.proposals import proposal_graph
 from pgti_gtsam.errors import NoRadiusError
@@ -369,3 +372,14 @@ def test_keyframes_that_share_too_few_landmarks_are_not_tied_by_these(shared, is
     found = pgti.diagnose(graph, values)
     assert ("share the 2 landmarks" in found.reason) is not is_fixed
     assert (found.verdict == "undecided") is not is_fixed
+
+
+@pytest.mark.parametrize(("gap", "is_tied"), [(4, False), (7, True), (40, True)])
+def test_a_tie_over_more_than_five_keyframes_explains_what_lies_beside_it(gap, is_tied):
+    """Ties over fewer are steps along the track, and say nothing of two stretches."""
+    along, tie = np.arange(100) / 5, [20, 20 + gap]
+    model = SimpleNamespace(along=along, ties=SimpleNamespace(pairs=np.array([tie])), units=SimpleNamespace(unit_m=1.0))
+    overlaps, radii = np.array([[18, 22 + gap], [5, 22 + gap]]), np.full(100, 2.0)
+    found = contacts._tied_near_by(overlaps, radii, model, np.ones(1, dtype=bool))
+    assert found.tolist() == [is_tied, False]
+    assert not contacts._tied_near_by(overlaps, radii / 10, model, np.ones(1, dtype=bool)).any()
