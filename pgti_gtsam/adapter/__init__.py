@@ -45,7 +45,7 @@ def from_gtsam(
     (Smart factors remember their last triangulation, as whenever GTSAM evaluates them.)
 
     Keyframes are all pose variables: Pose2, Pose3, Similarity2, Similarity3, NavState, Gal3 and cameras.
-    Inertial factors and constant velocity are odometry, as are factors that measure a pose from one keyframe to the next.
+    Inertial factors and constant velocity are odometry, as are factors that measure a pose from a keyframe to the next.
     Landmark factors give the radii (Eq. 13 with the landmarks of connected keyframes, section 3.1).
     The position of a landmark is its value; without a value, the measurement of the nearest sighting.
 
