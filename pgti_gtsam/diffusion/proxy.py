@@ -10,9 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 from scipy import sparse
-from scipy.stats import rankdata
 
 from pgti_gtsam.checks import finite_array, instance, shown, whole, whole_array
 from pgti_gtsam.diffusion.block_laplacian import NormalEquations, checked_blocks
@@ -182,9 +182,10 @@ def spearman(first: FloatArray, second: FloatArray) -> float:
     second = finite_array(second, "the second series", len(first))
     if not len(first):
         raise InvalidOptionError("expected series of one value or more, got none")
-    ranks = [
-        rankdata(np.round(x / np.abs(x).max(), 9)) if np.abs(x).max() > 0 else rankdata(x) for x in (first, second)
-    ]
+    rounded = [np.round(x / np.abs(x).max(), 9) if np.abs(x).max() > 0 else x for x in (first, second)]
+    ranks = map(
+        scipy.stats.rankdata, rounded
+    )  # scipy loads stats, a third of the command line's start, at its first use
     a, b = (rank - rank.mean() for rank in ranks)
     size = float(np.linalg.norm(a) * np.linalg.norm(b))
     return float(a @ b) / size if size > 0 else float(np.linalg.norm(a) == np.linalg.norm(b))
