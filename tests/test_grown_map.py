@@ -6,6 +6,7 @@ from functools import reduce
 import gtsam
 import numpy as np
 import pytest
+from gtsam.symbol_shorthand import B, V
 from streets import RADIUS, between, block, driven, straight
 
 from pgti_gtsam.drift.ties import Ties
@@ -151,6 +152,68 @@ def test_what_is_more_than_appended_is_not_grown(world):
             values.insert(key, at(key))
         assert grown.grown([(graph, values)]) is None
     assert grown.grown([news(world, first, first + 1)]).places[first + 1] == first + 1
+
+
+def beside(world, k):
+    """Factors and values that a map is read without: velocities, biases, attitudes, and the motion beside a step."""
+    unit = {n: gtsam.noiseModel.Unit.Create(n) for n in (1, 2, 3, 6)}
+    if isinstance(world.truth[0], gtsam.Pose2):
+        return [gtsam.PriorFactorVector(V(k), np.zeros(3), unit[3])], [(V(k), np.zeros(3))]
+    parameters = gtsam.PreintegrationCombinedParams.MakeSharedU(9.81)
+    motion = gtsam.PreintegratedCombinedMeasurements(parameters, gtsam.imuBias.ConstantBias())
+    motion.integrateMeasurement(np.array([0.0, 0.0, 9.81]), np.zeros(3), 0.5)
+    factors = [
+        gtsam.CombinedImuFactor(k - 1, V(k - 1), k, V(k), B(k - 1), B(k), motion),
+        gtsam.AttitudeFactorPose3(k, gtsam.Unit3(0, 0, 1), unit[2], gtsam.Unit3(0, 0, 1)),
+        gtsam.BetweenFactorConstantBias(B(k - 1), B(k), gtsam.imuBias.ConstantBias(), unit[6]),
+    ]
+    return factors, [(V(k), np.zeros(3)), (B(k), gtsam.imuBias.ConstantBias())]
+
+
+def test_what_a_map_is_read_without_is_appended_without(world):
+    first, last = LAP, LAP + 6
+    start, plain, more = GrownMap.of(GATE.reference_map(*part(world, first), RADIUS)), [], []
+    for k in range(first, last):
+        plain.append(news(world, k, k + 1))
+        factors, values = news(world, k, k + 1)
+        factors, values = gtsam.NonlinearFactorGraph(factors), gtsam.Values(values)
+        own, extra = beside(world, k + 1)
+        for factor in own:
+            factors.push_back(factor)
+        for key, value in extra:
+            values.insert(key, value)
+        more.append((factors, values))
+    expected, found = start.grown(plain), start.grown(more)
+    assert dict(found.places) == dict(expected.places)
+    np.testing.assert_array_equal(found.tail.gathered, expected.tail.gathered)
+    assert found.ends == expected.ends
+
+
+def test_what_a_map_is_read_from_is_not_appended(world):
+    first = LAP
+    start = GrownMap.of(GATE.reference_map(*part(world, first), RADIUS))
+    planar = isinstance(world.truth[0], gtsam.Pose2)
+    d, n = (2, 3) if planar else (3, 6)
+    unit, place = gtsam.noiseModel.Unit.Create(d), np.ones(d)
+    position = gtsam.PoseTranslationPrior2D if planar else gtsam.PoseTranslationPrior3D
+    sighting = gtsam.BearingRangeFactor2D if planar else gtsam.BearingRangeFactor3D
+    bearing = gtsam.Rot2() if planar else gtsam.Unit3(1, 0, 0)
+    prior = gtsam.PriorFactorPose2 if planar else gtsam.PriorFactorPose3
+    insert_point = gtsam.Values.insert if planar else gtsam.Values.insertPoint3
+    for factor in (
+        position(first + 1, place, unit),
+        prior(first + 1, world.truth[0], gtsam.noiseModel.Unit.Create(n)),
+        sighting(first + 1, gtsam.symbol("l", 0), bearing, 2.0, gtsam.noiseModel.Unit.Create(d)),
+        gtsam.CustomFactor(unit, [first + 1], lambda *_: np.zeros(d)),
+    ):
+        factors, values = news(world, first, first + 1)
+        factors.push_back(factor)
+        insert_point(values, gtsam.symbol("l", 0), place)
+        assert start.grown([(factors, values)]) is None, type(factor).__name__
+    if not planar:  # a keyframe that the motion alone ties
+        alone = gtsam.NonlinearFactorGraph()
+        alone.push_back(beside(world, first + 1)[0][0])
+        assert start.grown([(alone, news(world, first, first + 1)[1])]) is None
 
 
 def test_a_map_that_grows_at_once_is_the_map_that_grows_step_by_step(world):

@@ -126,8 +126,7 @@ def read_keyframes(values: gtsam.Values) -> Keyframes:
     ------
     NoPoseError, InvalidValueError
     """
-    keys_3d = list(gtsam.utilities.allPose3s(values).keys())
-    keys_2d = list(gtsam.utilities.allPose2s(values).keys())
+    keys_3d, keys_2d = _plain_poses(values)
     others = _other_poses(values, set(keys_3d) | set(keys_2d))
     keys = np.array([*keys_3d, *keys_2d, *others], dtype=np.uint64)
     if len(keys) == 0:
@@ -156,6 +155,17 @@ def read_keyframes(values: gtsam.Values) -> Keyframes:
     _check_finite(keys, positions, is_finite[order])
     index = {int(key): i for i, key in enumerate(keys)}
     return Keyframes(keys=keys, positions=positions, index=index, poses=others, values=values)
+
+
+def pose_keys(values: gtsam.Values) -> set[int]:
+    """Keys of all poses, of any type that `Keyframes.pose` reads."""
+    plain = {key for keys in _plain_poses(values) for key in keys}
+    return plain | _other_poses(values, plain).keys()
+
+
+def _plain_poses(values: gtsam.Values) -> tuple[list[int], list[int]]:
+    """Keys of Pose3 values and of Pose2 values."""
+    return list(gtsam.utilities.allPose3s(values).keys()), list(gtsam.utilities.allPose2s(values).keys())
 
 
 def _other_poses(values: gtsam.Values, plain: set[int]) -> dict[int, Any]:

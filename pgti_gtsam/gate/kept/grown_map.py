@@ -15,6 +15,8 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
+from pgti_gtsam.adapter.families import Family, family_of, holds_position
+from pgti_gtsam.adapter.values import pose_keys
 from pgti_gtsam.drift.left_out import LEAST_REST
 from pgti_gtsam.drift.ties import Offered, Ties, closures_of, errors_of, step_variances
 from pgti_gtsam.drift.units import Units
@@ -129,7 +131,8 @@ class GrownMap:
         """The map with more keyframes.
 
         None where appending does not suffice: each new keyframe must be tied by one between factor, which measures a
-        pose of the map's type from the latest keyframe of its robot.
+        pose of the map's type from the latest keyframe of its robot, and nothing else may come that a map is read from:
+        no landmark and no position in the world.
 
         Parameters
         ----------
@@ -345,15 +348,33 @@ class GrownMap:
 
 
 def _steps(factors: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> list[tuple[int, int, Any]] | None:
-    """Key, key before and measured pose of each new keyframe; None where another factor comes, or too few or many."""
+    """Key, key before and measured pose of each new keyframe; None where more comes that a map is read from."""
     new = set(values.keys())
     steps: dict[int, tuple[int, Any]] = {}
+    others = []
     for factor in factors_of(factors):
+        if not isinstance(factor, BETWEEN):
+            others.append(factor)
+            continue
         before, key = min(keys_of(factor)), max(keys_of(factor))
-        if not isinstance(factor, BETWEEN) or key not in new or key in steps:
+        if key not in new or key in steps:
             return None
         steps[key] = before, measured_from(factor, before)
-    return [(key, *steps[key]) for key in sorted(steps)] if set(steps) == new else None
+
+    # velocities, biases and attitudes are not read, nor is the motion beside a step
+    poses = new if new == steps.keys() else pose_keys(values)
+    if poses != steps.keys() or not all(_says_nothing(factor, steps) for factor in others):
+        return None
+    return [(key, *steps[key]) for key in sorted(steps)]
+
+
+def _says_nothing(factor: Any, steps: Mapping[int, tuple[int, Any]]) -> bool:
+    """Whether a map is read alike with and without a factor: see `adapter.families`."""
+    name = type(factor).__name__
+    if family_of(name) is Family.MOTION:
+        keys = keys_of(factor)
+        return any(key in keys and before in keys for key, (before, _) in steps.items())
+    return family_of(name) is Family.IGNORED and not holds_position(name)
 
 
 def _same(ties: Ties, offered: Ties, k: int) -> NDArray[np.int64]:
