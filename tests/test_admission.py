@@ -3,8 +3,10 @@
 import gtsam
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 from streets import RADIUS, block, driven, ramp, straight, turn
 
+from pgti_gtsam.drift.left_out import left_out
 from pgti_gtsam.drift.log_odds import AGREES, log_odds, log_odds_together
 from pgti_gtsam.drift.settled import settle
 from pgti_gtsam.gate.admission import DOUBT, Admission, Weight
@@ -73,26 +75,43 @@ def test_each_further_member_that_agrees_adds_its_bonus_and_a_lone_closure_has_n
             assert weight.drift == pytest.approx(log_odds(offered.model.units, missed[:1], spread[None, :d, :d])[0])
 
 
-@pytest.mark.parametrize("off_m", [0.0, 8.0])
-def test_a_tied_member_that_all_the_others_contradict_is_out_again(off_m):
+def with_a_member_off_by(off_m):
+    """An admission in which all of a revisit is tied, one member of which lies off, and that member's tie."""
     world = driven([*block(20), *block(20)[:20]], noise=0.005)
     shifted = world.truth[3].between(world.truth[LAP_OF_20 + 3]).compose(gtsam.Pose2(off_m, 0, 0))
     closures = [world.closure(k, k + LAP_OF_20) for k in (2, 5, 8, 12)]
     reference = LoopClosureGate().reference_map(world.graph, world.values, RADIUS)
     offered, rows = reference.offered([*closures, world.closure(3, LAP_OF_20 + 3, shifted)])
-    weights = [Weight(ties=np.concatenate(rows))]
     tied = np.ones(len(offered.active), dtype=bool)
     admission = Admission(
         model=offered.model,
         needed=NEEDED,
         contacts_of=CandidateMaps(reference=reference, offered=offered).contacts,
         active=tied,
-        weights=weights,
+        weights=[Weight(ties=np.concatenate(rows))],
         nearest=settle(offered.model, tied, offered),
     )
+    return admission, rows[-1][0]
+
+
+@pytest.mark.parametrize("off_m", [0.0, 8.0])
+def test_a_tied_member_that_all_the_others_contradict_is_out_again(off_m):
+    admission, false = with_a_member_off_by(off_m)
+    n_tied = len(admission.active)
     admission.run()
-    (false,) = rows[-1]
-    assert admission.active.sum() == len(tied) - (off_m > 0)
+    assert admission.active.sum() == n_tied - (off_m > 0)
     assert admission.active[false] == (off_m == 0)
     assert list(admission.member_odds) == ([false] if off_m else [])
     assert all(odds < 0 for odds in admission.member_odds.values())
+
+
+@pytest.mark.parametrize("wanted", [0.5, -0.5])
+def test_a_tied_member_stays_while_the_others_say_more_for_it_than_against(wanted):
+    def odds_beyond(off_m):
+        admission, member = with_a_member_off_by(off_m)
+        missed, others = left_out(admission.settled, np.array([member]))
+        return float(log_odds(admission.model.units, missed, others)[0]) - wanted
+
+    admission, member = with_a_member_off_by(brentq(odds_beyond, 1.0, 6.0, xtol=1e-4))
+    admission._compare_members()
+    assert admission.active[member] == (wanted > 0)

@@ -159,3 +159,15 @@ def test_a_prediction_is_as_uncertain_as_along_its_least_certain_axis(sigmas):
     turned[:2, :2] = gtsam.Rot2(0.4).matrix() @ turned[:2, :2] @ gtsam.Rot2(0.4).matrix().T
     found = units.allowances_m(np.stack([turned, np.full((3, 3), np.nan)]))
     assert found.tolist() == pytest.approx([3.0, np.inf])
+
+
+def test_a_factor_over_two_steps_is_no_closure_of_the_drift_model():
+    world = streets.driven(streets.straight(20 * streets.STEP))
+    graph = gtsam.NonlinearFactorGraph(world.graph)
+    for k in range(0, 18, 2):
+        graph.push_back(streets.between(k, k + 2, world.truth[k].between(world.truth[k + 2])))
+    pose_graph = pgti.from_gtsam(graph, world.values, radii=RADIUS)
+    ties = drift_model(graph, world.values, pose_graph).ties
+    assert (ties.slots < 0).all()
+    assert len(ties.pairs) == graph.size()
+    assert (ties.drifts > 0).sum() == 20
