@@ -177,3 +177,40 @@ def noise_of(name):
 def allowed_m(decision):
     """The standard deviation that the decision's first reason names."""
     return float(decision.terms["drift"].sentence.rsplit("give or take ", 1)[1].split()[0])
+
+
+def registered(first, second, motion):
+    """A factor of the caller's own class, a registration of scans, say, between two Pose3."""
+
+    def error(factor, values, jacobians):
+        one, two = (values.atPose3(key) for key in factor.keys())  # noqa: SIM118
+        found = one.between(two)
+        if jacobians is not None:
+            jacobians[0], jacobians[1] = -found.inverse().AdjointMap(), np.eye(6)
+        return motion.localCoordinates(found)
+
+    return gtsam.CustomFactor(noise_of("Pose3"), [first, second], error)
+
+
+def test_factors_of_the_callers_own_class_are_odometry_and_closures():
+    graph, values, placed = gtsam.NonlinearFactorGraph(), gtsam.Values(), [true_pose(0)]
+    random = np.random.default_rng(1)
+    for k in range(LAP + 30):
+        if k:
+            error = gtsam.Pose3.Expmap(random.normal(0, [2e-4, 2e-4, 2e-3, 0.02, 0.02, 5e-3]))
+            placed.append(placed[-1].compose(true_pose(k - 1).between(true_pose(k))).compose(error))
+            graph.push_back(registered(k - 1, k, placed[-2].between(placed[-1])))
+        values.insert(k, placed[-1])
+    true = [graph.size() + k for k in range(3)]
+    for k in (10, 18, 26):
+        graph.push_back(registered(k, k + LAP, true_pose(k).between(true_pose(k + LAP))))
+    graph.push_back(registered(70, LAP + 22, true_pose(22).between(true_pose(LAP + 22))))
+    unary = gtsam.CustomFactor(noise_of("Pose3"), [3], lambda *_: np.zeros(6))
+    graph.push_back(unary)
+    adapted = pgti.from_gtsam(graph, values, radii=3.0).adaptation
+    assert adapted.used == {"CustomFactor": graph.size() - 1}
+    assert adapted.unknown == {"CustomFactor": 1}
+    graph.remove(graph.size() - 1)  # GTSAM asks a factor for its Jacobians, which this one has not
+    gated = pgti.gate_graph(graph, values, 3.0)
+    assert gated.accepted == tuple(true)
+    assert gated.rejected == (true[-1] + 1,)

@@ -54,6 +54,8 @@ class Between(NamedTuple):
 class FactorReader:
     """Collects, factor by factor, the parts of the pose graph.
 
+    A factor of an unknown class that ties two keyframes, and nothing else, counts as the tie that it is.
+
     Attributes
     ----------
     reads_noise : bool
@@ -92,10 +94,11 @@ class FactorReader:
         found = slots_of(graph)
         self.empty_slots += graph.size() - len(found)
         for slot, factor in found:
-            name = type(factor).__name__
+            name, keys = type(factor).__name__, factor.keys()
             family = family_of(name)
+            if family is Family.UNKNOWN and len(keys) == 2 and self.keyframes.index.keys() >= set(keys):
+                family = Family.BETWEEN
             self.counts[family][name] += 1
-            keys = factor.keys()
             self._tied.update(keys)
             if family in handlers:
                 handlers[family](slot, factor, keys)

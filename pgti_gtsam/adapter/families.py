@@ -15,7 +15,7 @@ class Family(enum.Enum):
     SIGHTING = "a pose sees a landmark variable"
     SMART = "several poses see one landmark, which is triangulated"
     IGNORED = "says nothing about connectivity or free space"
-    UNKNOWN = "not known to the adapter"
+    UNKNOWN = "not known to the adapter; a tie where it ties two poses"
 
 
 _POSE = r"(Pose2|Pose3|Similarity2|Similarity3|NavState|Gal3|Se23|ExtendedPose3d)"

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import gtsam
 import numpy as np
 
+from pgti_gtsam.adapter.families import Family, family_of
 from pgti_gtsam.adapter.values import measures_pose, typed_value
 from pgti_gtsam.checks import shown
 from pgti_gtsam.drift.settled import Settled
@@ -54,20 +56,24 @@ def closure_ends(
 ) -> dict[int, tuple[int, int]]:
     """Slots of the loop closures, with the indices of their keyframes in the order of the keys, i < j.
 
-    Without `closures`, the between factors that are no odometry: see `track.roles`.
+    Without `closures`, factors that are no odometry (see `track.roles`) and measure poses or are of an unknown class.
 
     Parameters
     ----------
     pose_graph : PoseGraph
     graph : gtsam.NonlinearFactorGraph
     closures : collection of int, optional
-        Slots; None for the between factors that are no odometry.
+        Slots; None for those factors.
     """
     closing = closure_edges(pose_graph) if closures is None else np.ones(len(pose_graph.edges), dtype=bool)
     rows = np.flatnonzero(closing).tolist()
     ends = {slot: tuple(pose_graph.edges[k].tolist()) for k in rows for slot in pose_graph.edge_slots[k]}
-    chosen = (slot for slot in ends if measures_pose(graph.at(slot))) if closures is None else set(closures)
+    chosen = (slot for slot in ends if _may_close(graph.at(slot))) if closures is None else set(closures)
     return {slot: ends[slot] for slot in sorted(chosen)}
+
+
+def _may_close(factor: Any) -> bool:
+    return measures_pose(factor) or family_of(type(factor).__name__) is Family.UNKNOWN
 
 
 def gate_graph(
