@@ -171,3 +171,33 @@ def test_a_factor_over_two_steps_is_no_closure_of_the_drift_model():
     assert (ties.slots < 0).all()
     assert len(ties.pairs) == graph.size()
     assert (ties.drifts > 0).sum() == 20
+
+
+@pytest.mark.parametrize("still", [False, True])
+def test_a_range_between_keyframes_fixes_no_pose(still):
+    """Before, a range counted as a match of places, and ranges across a map seemed to hold the map as closures do."""
+    world = streets.driven(streets.block(60, times=2)[:160], bias=0.002, noise=0.006)
+    values, noise = gtsam.Values(world.values), gtsam.noiseModel.Isotropic.Sigma(1, 0.1)
+    if still:  # all at one place
+        for k in range(len(world.truth)):
+            values.update(k, gtsam.Pose2())
+    graph = gtsam.NonlinearFactorGraph(world.graph)
+    for i, j in ((5, 133), (10, 120), (30, 100)):
+        apart = world.truth[i].range(world.truth[j].translation())
+        graph.push_back(gtsam.RangeFactorPose2(i, j, apart, noise))
+    bare, ranged = (
+        settle(drift_model(own, values, pgti.from_gtsam(own, values, radii=RADIUS))) for own in (world.graph, graph)
+    )
+    pairs = np.array([[20, 148], [0, 100]])
+    np.testing.assert_allclose(ranged.covariances(pairs), bare.covariances(pairs), rtol=0.02)
+
+
+def test_a_range_joins_parts_and_says_nothing_of_where_they_lie():
+    world = streets.driven(streets.straight(20 * streets.STEP))
+    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values(world.values)
+    for k in (k for k in range(20) if k != 10):
+        graph.push_back(world.graph.at(k))
+    ranged = gtsam.NonlinearFactorGraph(graph)
+    ranged.push_back(gtsam.RangeFactorPose2(3, 15, 12 * streets.STEP, gtsam.noiseModel.Isotropic.Sigma(1, 0.1)))
+    settled = settle(drift_model(ranged, values, pgti.from_gtsam(ranged, values, radii=RADIUS)))
+    assert np.sqrt(settled.covariances(np.array([[5, 18]]))[0, 0, 0]) > 20 * streets.STEP

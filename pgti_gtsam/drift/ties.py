@@ -11,9 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pgti_gtsam.adapter.values import Keyframes
+from pgti_gtsam.drift.observability import open_directions
 from pgti_gtsam.drift.units import Units, translation_of, variances_of
 from pgti_gtsam.drift.upright import Upright
 from pgti_gtsam.errors import NoRadiusError
+from pgti_gtsam.factor_graphs import graph_of
 from pgti_gtsam.pose_graph import EdgeSource, PoseGraph
 
 DRIFT = 0.03
@@ -36,7 +38,7 @@ FAR = 100.0
 """Standard deviation along a direction that a closure leaves open, in parts of the map's extent."""
 
 HOLDING = int(EdgeSource.BETWEEN | EdgeSource.COVISIBILITY)
-SKIP, ODOMETRY = int(EdgeSource.SKIP), int(EdgeSource.ODOMETRY)
+SKIP, ODOMETRY, COVISIBILITY = int(EdgeSource.SKIP), int(EdgeSource.ODOMETRY), int(EdgeSource.COVISIBILITY)
 """As plain numbers: flags of an enumeration cost a tenth of a large map's reading."""
 
 Array = NDArray[np.float64]
@@ -152,6 +154,8 @@ def ties_of(
     own_slots = [pose_graph.edge_slots[k] for k in held.tolist()]
     known = zip(pose_graph.edges[held].tolist(), pose_graph.edge_sources[held].tolist(), own_slots, strict=True)
     tolerance = variances_of(OFFSET * unit, OFFSET_RAD, is_planar=planar)
+    extent = max(float(np.ptp(pose_graph.positions, axis=0).max()), unit)
+    far = variances_of(FAR * extent, FAR, is_planar=planar)
     for (i, j), source, slots in known:
         is_skip = bool(source & SKIP)
         measured = [(keyframes.measured(graph.at(slot), keys[i]), -1 if is_skip else slot) for slot in slots]
@@ -163,9 +167,10 @@ def ties_of(
             rows.append(((i, j), step, step_variances(step, unit), -1, _drift(step, unit) ** 2))
             continue
 
-        # a closure, or what both keyframes see, holds as well as a match
+        # a closure, or what both keyframes see, holds as well as a match; a range, say, fixes no pose
         for z, slot in found or [(poses[i].between(poses[j]), -1)]:
-            rows.append(((i, j), z, tolerance, slot, 0.0))
+            is_fixed = found or source & COVISIBILITY or not _leave_open(graph, slots, keyframes, keys[j], unit)
+            rows.append(((i, j), z, tolerance if is_fixed else far, slot, 0.0))
     return Ties(
         pairs=np.array([row[0] for row in rows], dtype=np.int64).reshape(-1, 2),
         measured=tuple(row[1] for row in rows),
@@ -173,6 +178,15 @@ def ties_of(
         slots=np.array([row[3] for row in rows], dtype=np.int64),
         drifts=np.array([row[4] for row in rows]),
     )
+
+
+def _leave_open(
+    graph: gtsam.NonlinearFactorGraph, slots: Sequence[int], keyframes: Keyframes, key: int, unit: float
+) -> bool:
+    """Whether factors leave some direction of a keyframe open, all other variables fixed."""
+    pose, factors = keyframes.pose(key), graph_of(graph.at(slot) for slot in slots)
+    lengths = np.sqrt(variances_of(unit, 1.0, is_planar=isinstance(pose, gtsam.Pose2)))
+    return open_directions(factors, keyframes.values, key, lengths) is not None
 
 
 def step_variances(step: Any, unit: float) -> Array:
