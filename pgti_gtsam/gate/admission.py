@@ -199,6 +199,8 @@ class Admission:
     def _surest(self) -> list[Weight]:
         """Revisits that pass in turn, each given the earlier. Where many are open, few are weighed at a time."""
         hopeful = [each for each in self._open() if not each.drift < HOPELESS]
+        if not hopeful:  # no optimum for none
+            return []
         new = [each for each in hopeful if each.drift == np.inf]
         for asked in (new or _surest_first(hopeful)[:WEIGHED], hopeful):
             self._weigh_all(asked)
@@ -319,7 +321,7 @@ class Admission:
     def _widened(self) -> bool:
         """Whether the tied closures show poorer odometry than assumed."""
         tied = self._tied()
-        if not len(tied):
+        if not len(tied) or (len(tied) == 1 and not self._open()):  # nobody asks how poor: no optimum for that
             return False
         poorer = poorer_odometry(self.model.units, *left_out(self.settled, tied))
         if poorer < MORE_DRIFT * self._poorer:
