@@ -133,12 +133,15 @@ class FactorReader:
         self.between.append(Between(i, j, slot, information, _length(measured), pose))
 
     def _motion(self, slot: int, factor: Any, keys: list[int]) -> None:
-        missing = next((key for key in keys if not self.keyframes.values.exists(key)), None)
-        if missing is not None:
-            raise MissingValueError(_missing(slot, factor, missing))
         rows = sorted({self.keyframes.index[key] for key in keys if key in self.keyframes.index})
         if len(rows) > 1:
             self.between.append(Between(rows[0], rows[-1], slot, None, np.nan, None, is_motion=True))
+            return
+
+        # a velocity may lack, a pose not
+        missing = next((key for key in keys if not self.keyframes.values.exists(key)), None)
+        if missing is not None:
+            raise MissingValueError(_missing(slot, factor, missing))
 
     def _sighting(self, slot: int, factor: Any, keys: list[int]) -> None:
         i, mark = self._keyframe(slot, factor, keys[0]), self._landmark(slot, factor, keys)

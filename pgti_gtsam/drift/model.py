@@ -45,7 +45,7 @@ class DriftModel:
         The estimate.
     ties : Ties
     held : (n,) bool
-        Keyframes whose position a factor of a single variable fixes.
+        Keyframes whose position in the world a factor fixes.
     along : (n,) float
         Coordinate of every keyframe along the track, from `places_on`.
     unobservable : mapping from int to (d, d) float
