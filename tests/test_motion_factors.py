@@ -168,3 +168,16 @@ def test_a_window_of_inertial_odometry_is_gated_and_resumed_with_its_parameters(
     resumed = pgti.GatedFixedLagSmoother.load(tmp_path / "window.json", parameters)
     last = X(LAP + 29)
     assert resumed.estimate().atPose3(last).equals(window.estimate().atPose3(last), 1e-6)
+
+
+@pytest.mark.parametrize("name", list(KINDS))
+def test_a_whole_graph_on_inertial_odometry_is_gated(name):
+    graph, values = driven(name, LAP + 40)
+    first = graph.size()
+    for earlier, later in ((5, LAP + 5), (15, LAP + 15), (25, LAP + 25), (50, LAP + 20)):
+        motion = true_pose(later - LAP).between(true_pose(later))
+        graph.push_back(gtsam.BetweenFactorPose3(X(earlier), X(later), motion, TIGHT))
+    gated = pgti.gate_graph(graph, values, 4.0)
+    assert gated.accepted == (first, first + 1, first + 2)
+    assert gated.rejected == (first + 3,)
+    assert gated.graph.error(gated.values) < gated.graph.error(values)
