@@ -201,3 +201,44 @@ def test_a_range_joins_parts_and_says_nothing_of_where_they_lie():
     ranged.push_back(gtsam.RangeFactorPose2(3, 15, 12 * streets.STEP, gtsam.noiseModel.Isotropic.Sigma(1, 0.1)))
     settled = settle(drift_model(ranged, values, pgti.from_gtsam(ranged, values, radii=RADIUS)))
     assert np.sqrt(settled.covariances(np.array([[5, 18]]))[0, 0, 0]) > 20 * streets.STEP
+
+
+def crossing(n):
+    """Keyframes on a line, passed twice, so that two of them stand at one place."""
+    noise, graph, values = gtsam.noiseModel.Isotropic.Sigma(6, 0.1), gtsam.NonlinearFactorGraph(), gtsam.Values()
+    for k in range(n):
+        values.insert(k, gtsam.Pose3(gtsam.Rot3(), [k % (n // 2), 0, 0]))
+        if k:
+            step = values.atPose3(k - 1).between(values.atPose3(k))
+            graph.push_back(gtsam.BetweenFactorPose3(k - 1, k, step, noise))
+    return graph, values
+
+
+@pytest.mark.parametrize(
+    ("factors", "fixes"),
+    [
+        ([gtsam.RangeFactorPose3(3, 13, 1.0, gtsam.noiseModel.Isotropic.Sigma(1, 0.1))] * 7, False),
+        ([gtsam.BearingRangeFactorPose3(3, 13, gtsam.Unit3(1, 0, 0), 1.0, gtsam.noiseModel.Unit.Create(3))], False),
+        (
+            [
+                gtsam.EssentialMatrixConstraint(
+                    3, 13, gtsam.EssentialMatrix(gtsam.Rot3(), gtsam.Unit3(1, 0, 0)), gtsam.noiseModel.Unit.Create(5)
+                )
+            ],
+            False,
+        ),
+        ([gtsam.NonlinearEquality2Pose3(3, 13)], True),
+        ([gtsam.CustomFactor(gtsam.noiseModel.Unit.Create(6), [3, 13], lambda *_: np.zeros(6))], True),
+    ],
+    ids=["seven ranges", "bearing and range", "essential matrix", "equality", "of the caller"],
+)
+def test_factors_of_fewer_numbers_than_a_pose_fix_none_even_where_they_have_no_derivative(factors, fixes):
+    """The two keyframes stand at one place, where bearings and essential matrices have no derivative."""
+    graph, values = crossing(20)
+    for factor in factors:
+        graph.push_back(factor)
+    settled = settle(drift_model(graph, values, pgti.from_gtsam(graph, values, radii=RADIUS)))
+    bare = settle(drift_model(*crossing(20), pgti.from_gtsam(*crossing(20), radii=RADIUS)))
+    across = np.array([[3, 13]])
+    ratio = settled.covariances(across)[0, 3, 3] / bare.covariances(across)[0, 3, 3]
+    assert ratio < 0.5 if fixes else ratio > 0.98

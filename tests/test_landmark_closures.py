@@ -153,6 +153,20 @@ def test_directions_that_landmarks_leave_open_change_nothing_that_is_seen(count,
         assert np.sqrt(2 * seen[sees].error(moved)) > 5e-3
 
 
+def test_a_closure_without_derivative_where_the_keyframe_stands_says_nothing():
+    graph, values, noise = gtsam.NonlinearFactorGraph(), gtsam.Values(), gtsam.noiseModel.Isotropic.Sigma(6, 0.1)
+    for k in range(20):
+        values.insert(k, gtsam.Pose3(gtsam.Rot3(), [k % 10, 0, 0]))
+        if k:
+            step = values.atPose3(k - 1).between(values.atPose3(k))
+            graph.push_back(gtsam.BetweenFactorPose3(k - 1, k, step, noise))
+    turned = gtsam.EssentialMatrix(gtsam.Rot3(), gtsam.Unit3(1, 0, 0))
+    closure = gtsam.EssentialMatrixConstraint(3, 13, turned, gtsam.noiseModel.Unit.Create(5))
+    decision = pgti.LoopClosureGate().evaluate(graph, values, closure, 1.0)
+    assert decision.verdict == "undecided"
+    assert abs(decision.terms["drift"].log_odds) < 1e-3
+
+
 def test_open_directions_add_nothing_to_the_log_odds():
     """The law: with R + F, F wider than the map along some directions, the odds are those of the other directions."""
     random = np.random.default_rng(3)

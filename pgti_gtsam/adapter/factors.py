@@ -94,11 +94,14 @@ class FactorReader:
         found = slots_of(graph)
         self.empty_slots += graph.size() - len(found)
         for slot, factor in found:
+            # what it is
             name, keys = type(factor).__name__, factor.keys()
             family = family_of(name)
             if family is Family.UNKNOWN and len(keys) == 2 and self.keyframes.index.keys() >= set(keys):
                 family = Family.BETWEEN
             self.counts[family][name] += 1
+
+            # what it says
             self._tied.update(keys)
             if family in handlers:
                 handlers[family](slot, factor, keys)

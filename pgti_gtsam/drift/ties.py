@@ -11,11 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pgti_gtsam.adapter.values import Keyframes
-from pgti_gtsam.drift.observability import open_directions
 from pgti_gtsam.drift.units import Units, translation_of, variances_of
 from pgti_gtsam.drift.upright import Upright
 from pgti_gtsam.errors import NoRadiusError
-from pgti_gtsam.factor_graphs import graph_of
 from pgti_gtsam.pose_graph import EdgeSource, PoseGraph
 
 DRIFT = 0.03
@@ -169,7 +167,7 @@ def ties_of(
 
         # a closure, or what both keyframes see, holds as well as a match; a range, say, fixes no pose
         for z, slot in found or [(poses[i].between(poses[j]), -1)]:
-            is_fixed = found or source & COVISIBILITY or not _leave_open(graph, slots, keyframes, keys[j], unit)
+            is_fixed = found or source & COVISIBILITY or _fix_pose([graph.at(slot) for slot in slots], len(tolerance))
             rows.append(((i, j), z, tolerance if is_fixed else far, slot, 0.0))
     return Ties(
         pairs=np.array([row[0] for row in rows], dtype=np.int64).reshape(-1, 2),
@@ -180,13 +178,10 @@ def ties_of(
     )
 
 
-def _leave_open(
-    graph: gtsam.NonlinearFactorGraph, slots: Sequence[int], keyframes: Keyframes, key: int, unit: float
-) -> bool:
-    """Whether factors leave some direction of a keyframe open, all other variables fixed."""
-    pose, factors = keyframes.pose(key), graph_of(graph.at(slot) for slot in slots)
-    lengths = np.sqrt(variances_of(unit, 1.0, is_planar=isinstance(pose, gtsam.Pose2)))
-    return open_directions(factors, keyframes.values, key, lengths) is not None
+def _fix_pose(factors: Sequence[Any], d: int) -> bool:
+    """Whether factors between two keyframes say as many numbers as a relative pose has; two of a class say the same."""
+    numbers: dict[type, int] = {type(factor): factor.dim() for factor in factors}
+    return sum(numbers.values()) >= d
 
 
 def step_variances(step: Any, unit: float) -> Array:

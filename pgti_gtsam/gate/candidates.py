@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pgti_gtsam.adapter.values import Keyframes, measures_pose, typed_value
-from pgti_gtsam.drift.observability import open_directions
 from pgti_gtsam.drift.settled import Settled
 from pgti_gtsam.drift.ties import Offered
 from pgti_gtsam.drift.units import variances_of
@@ -27,6 +26,10 @@ STRETCHED = 0.1
 
 STILL, MOST_STEPS = 1e-3, 50
 """Standard deviation, in ρ, of landmarks that a keyframe is placed by, and Levenberg-Marquardt steps for it."""
+
+OPEN = 1e-6
+"""Information along a direction, in parts of the largest, below which landmarks leave the direction open: one seen by
+bearing and range leaves the way around it open, two points leave the turn about the line between them."""
 
 AS_WELL, EXACT = 1.01, 1e-6
 """Factor and difference of ½ Σ ‖e‖² up to which a keyframe is placed as well by one pose as by another."""
@@ -132,7 +135,26 @@ def _placed(
     least = min(error for error, _ in found)
     best = next(values for error, values in found if error <= AS_WELL * least + EXACT)
     pose = best.atPose2(key) if isinstance(starts[0], gtsam.Pose2) else best.atPose3(key)
-    return pose, open_directions(graph_of(factors), best, key, _lengths(pose, unit_m))
+    return pose, _open_directions(graph_of(factors), best, key, _lengths(pose, unit_m))
+
+
+def _open_directions(
+    graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, key: int, lengths: NDArray[np.float64]
+) -> NDArray[np.float64] | None:
+    """Orthonormal directions of a pose, in units of some lengths, about which no factor says anything, (d, k).
+
+    All of them where a factor has no derivative, as a bearing to where the keyframe stands.
+    """
+    ordering = gtsam.Ordering()
+    for each in [key, *sorted(set(graph.keyVector()) - {key})]:
+        ordering.push_back(each)
+    jacobian, _ = graph.linearize(values).jacobian(ordering)
+    own = jacobian[:, : len(lengths)] * lengths
+    if not np.isfinite(own).all():
+        return np.eye(len(lengths))
+    information, axes = np.linalg.eigh(own.T @ own)
+    is_open = information <= OPEN * information[-1]
+    return axes[:, is_open] if is_open.any() else None
 
 
 def _lengths(pose: Any, unit_m: float) -> NDArray[np.float64]:

@@ -44,7 +44,7 @@ class Judgement:
     decisions : tuple of ClosureDecision
         A decision for each closure, in the order given.
     settled : Settled
-        The last optimum of the drift model that decided a verdict: near the optimum with the closures.
+        The last optimum of the drift model that decided a verdict; closures that passed after it are not in it.
     """
 
     decisions: tuple[ClosureDecision, ...]
@@ -291,6 +291,7 @@ class LoopClosureGate:
         tied = grown.tied(predicted) if decision.accepted else grown
         return replace(decision, keys=_keys(closure)), tied
 
+    @solvable()
     def reviewed(
         self, grown: GrownMap, closures: Sequence[gtsam.NonlinearFactorGraph], held: Sequence[bool]
     ) -> tuple[ClosureDecision, ...] | None:
@@ -349,14 +350,9 @@ class LoopClosureGate:
         open_: Verdict = "rejected" if odds <= -self._needed else "undecided"
         heaviest = sorted(terms.values(), key=lambda term: -abs(float(np.nan_to_num(term.log_odds))))
         verdict: Verdict = "accepted" if is_tied else open_
-        _LOG.debug("%s with log odds %.3g. %s", verdict, odds, heaviest[0].sentence if heaviest else "")
-        return ClosureDecision(
-            verdict=verdict,
-            log_odds=odds,
-            terms=terms,
-            reasons=tuple(term.sentence for term in heaviest),
-            keys=(),
-        )
+        reasons = tuple(term.sentence for term in heaviest)
+        _LOG.debug("%s with log odds %.3g. %s", verdict, odds, reasons[0] if reasons else "")
+        return ClosureDecision(verdict=verdict, log_odds=odds, terms=terms, reasons=reasons, keys=())
 
 
 def _check_values(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> None:

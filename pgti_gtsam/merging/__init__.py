@@ -152,6 +152,7 @@ def merge(
     PgtiError
         As of `from_gtsam` and of the gate.
     """
+    # the maps, each alone
     check_map(graph, values)
     merger = _Merger(
         maps=[(own, own.name) for own in maps_of(graph, values, closures)],
@@ -160,6 +161,8 @@ def merge(
         gate=gate or LoopClosureGate(),
     )
     alone = [own for own, _ in merger.maps]
+
+    # joined as far as links are sure
     merger.run()
     whole = merger.whole()
     return Merged(

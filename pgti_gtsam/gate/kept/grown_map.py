@@ -1,7 +1,7 @@
 """A reference map and the keyframes since: keyframes that odometry ties to its ends, and closures that passed.
 
-A decision does without a new optimum, and the cost does not grow with the map. Relative poses are linear in the errors
-of the reference map and of the steps since; closures since then are conditioned on: see `known_closures`.
+A decision does without a new optimum, and costs a way up the elimination tree, not the map. Relative poses are linear
+in the errors of the reference map and of the steps since; closures since then are conditioned on: see `known_closures`.
 """
 
 from __future__ import annotations

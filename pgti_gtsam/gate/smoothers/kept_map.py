@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple, Protocol
 
 import gtsam
-import numpy as np
 
-from pgti_gtsam.errors import InvalidOptionError, MissingValueError, UnsolvableGraphError
+from pgti_gtsam.drift.settled import solvable
+from pgti_gtsam.errors import InvalidOptionError, MissingValueError
 from pgti_gtsam.factor_graphs import BETWEEN, checked_closure, factors_of, joined, keys_of, slots_of
 from pgti_gtsam.gate.decision import ClosureDecision
 from pgti_gtsam.gate.gate import LoopClosureGate
@@ -121,6 +121,7 @@ class KeptMap:
     news: list[tuple[gtsam.NonlinearFactorGraph, gtsam.Values]] = field(default_factory=list)
     standing: Standing = field(default_factory=Standing)
 
+    @solvable()
     def judged(
         self,
         gate: LoopClosureGate,
@@ -143,23 +144,8 @@ class KeptMap:
         InvalidClosureError, PgtiError
             As of `LoopClosureGate.evaluate`.
         UnsolvableGraphError
-            Measurements so far apart in scale that their sums are rounding.
+            As of `solvable`.
         """
-        try:
-            return self._judged(gate, new, waiting, closures)
-        except np.linalg.LinAlgError as error:
-            raise UnsolvableGraphError(
-                "expected odometry and closures of one scale, got a map in which rounding hides what they say; "
-                "look for measurements far beyond the map"
-            ) from error
-
-    def _judged(
-        self,
-        gate: LoopClosureGate,
-        new: News,
-        waiting: Mapping[int, gtsam.NonlinearFactorGraph],
-        closures: Sequence[gtsam.NonlinearFactorGraph],
-    ) -> Judged:
         grown = self._grown(new) if len(closures) == 1 and not gate.options.scores else None
         checked = None if grown is None else _checked_between(grown, closures[0])
         foreseen = None if grown is None or checked is None else gate.foreseen(grown, checked)
